@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,6 @@ from pam_antagonist.recording import RecordedEstimate, Recording, write_bag
 from pam_antagonist.recording.joint import JointCondition, joint_condition, with_stops
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
-
-Changed = Callable[..., Recording]
 
 
 def _estimate(rig: Rig, recording: Recording, joint: str, angle: float = 0.0) -> RecordedEstimate:
@@ -38,40 +36,36 @@ def test_a_joint_that_stays_while_the_pressures_change_is_locked(locked: Recordi
     assert joint_condition(locked) == JointCondition("locked", 0.0, "measured angle")
 
 
-def test_the_lock_angle_is_measured_without_the_encoders_noise(locked: Recording, changed: Changed) -> None:
+def test_the_lock_angle_is_measured_without_the_encoders_noise(locked: Recording) -> None:
     assert locked.angle is not None
-    tilted = changed(locked, angle=locked.angle + math.radians(7.31))
+    tilted = replace(locked, angle=locked.angle + math.radians(7.31))
     assert joint_condition(tilted).lock_angle == math.radians(7.3)
 
 
-def test_a_wrong_sample_moves_no_joint(locked: Recording, changed: Changed) -> None:
+def test_a_wrong_sample_moves_no_joint(locked: Recording) -> None:
     assert locked.angle is not None
     angle = locked.angle.copy()
     angle[100] = 0.5
-    assert joint_condition(changed(locked, angle=angle)).condition == "locked"
+    assert joint_condition(replace(locked, angle=angle)).condition == "locked"
 
 
-def test_a_joint_that_was_not_driven_tells_nothing(locked: Recording, changed: Changed) -> None:
-    quiet = changed(locked, pressure=np.full_like(locked.pressure, 450e3))
+def test_a_joint_that_was_not_driven_tells_nothing(locked: Recording) -> None:
+    quiet = replace(locked, pressure=np.full_like(locked.pressure, 450e3))
     assert joint_condition(quiet) == JointCondition("free", 0.0, "nothing")
-    assert joint_condition(changed(locked, angle=None)).source == "nothing"
+    assert joint_condition(replace(locked, angle=None)).source == "nothing"
 
 
-def test_without_a_measured_angle_the_live_filter_tells(
-    rig: Rig, free: Recording, locked: Recording, changed: Changed
-) -> None:
-    held = changed(locked, angle=None, estimate=_estimate(rig, locked, "locked", 0.1))
+def test_without_a_measured_angle_the_live_filter_tells(rig: Rig, free: Recording, locked: Recording) -> None:
+    held = replace(locked, angle=None, estimate=_estimate(rig, locked, "locked", 0.1))
     assert joint_condition(held) == JointCondition("locked", 0.1, "recorded estimate")
-    moving = changed(free, angle=None, estimate=_estimate(rig, free, "free"))
+    moving = replace(free, angle=None, estimate=_estimate(rig, free, "free"))
     assert joint_condition(moving) == JointCondition("free", 0.0, "recorded estimate")
 
 
-def test_the_live_filters_own_lock_angle_is_taken_to_the_last_bit(
-    rig: Rig, locked: Recording, changed: Changed
-) -> None:
+def test_the_live_filters_own_lock_angle_is_taken_to_the_last_bit(rig: Rig, locked: Recording) -> None:
     angle = 0.1234567890123
     assert locked.angle is not None
-    tilted = changed(locked, angle=locked.angle + angle, estimate=_estimate(rig, locked, "locked", angle))
+    tilted = replace(locked, angle=locked.angle + angle, estimate=_estimate(rig, locked, "locked", angle))
     assert joint_condition(tilted) == JointCondition("locked", angle, "measured angle")
 
 
@@ -90,10 +84,10 @@ def test_contradictions_are_refused(free: Recording) -> None:
 STOP = math.radians(20.0)
 
 
-def test_a_joint_that_rests_at_its_stop_is_free(locked: Recording, changed: Changed) -> None:
+def test_a_joint_that_rests_at_its_stop_is_free(locked: Recording) -> None:
     assert locked.angle is not None
     for angle, condition in ((19.5, "free"), (-20.2, "free"), (24.0, "free"), (15.0, "locked"), (40.0, "locked")):
-        there = changed(locked, angle=locked.angle + math.radians(angle))
+        there = replace(locked, angle=locked.angle + math.radians(angle))
         found = joint_condition(there, stop=STOP)
         assert found.condition == condition, angle
         assert found.source == ("stop" if condition == "free" else "measured angle")
@@ -101,15 +95,13 @@ def test_a_joint_that_rests_at_its_stop_is_free(locked: Recording, changed: Chan
         assert joint_condition(there, "locked", stop=STOP).condition == "locked"
 
 
-def test_where_the_other_recordings_rest_and_never_pass_is_a_stop(
-    free: Recording, locked: Recording, changed: Changed
-) -> None:
+def test_where_the_other_recordings_rest_and_never_pass_is_a_stop(free: Recording, locked: Recording) -> None:
     assert free.angle is not None and locked.angle is not None
     end = float(np.quantile(free.angle, 0.5))
-    stopped = changed(free, angle=np.minimum(free.angle, end))
-    there = changed(locked, angle=locked.angle + end, torque=None)
-    inside = changed(locked, torque=None)
-    clamped = changed(locked, angle=locked.angle + end)
+    stopped = replace(free, angle=np.minimum(free.angle, end))
+    there = replace(locked, angle=locked.angle + end, torque=None)
+    inside = replace(locked, torque=None)
+    clamped = replace(locked, angle=locked.angle + end)
     every = [stopped, there, inside, clamped]
     found = with_stops(every, [joint_condition(one) for one in every])
     assert [state.condition for state in found] == ["free", "free", "locked", "locked"]

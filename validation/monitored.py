@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.cli.commission_guessed import seen
 from pam_antagonist.control.command import Mode, VoltageLimits
 from pam_antagonist.control.laws import Reachable
-from pam_antagonist.control.model_law import ModelController, ModelGains
+from pam_antagonist.control.model_law import ModelController, ModelGains, Seen
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.diagnosis.monitor import RATE, slower
 from pam_antagonist.diagnosis.monitor_responses import hypotheses
@@ -112,7 +111,7 @@ class Joint:
             self._until = now + float(self._rng.uniform(*_HOLD))
         row = self._filter.step_in_place(stamp, pressure[0], pressure[1], *self._command)
         if row is not None:
-            self._command = self._law.step(Mode.ANGLE, self._goal, math.nan, seen(row)).voltage
+            self._command = self._law.step(Mode.ANGLE, self._goal, math.nan, Seen.of(row)).voltage
 
 
 def _rest(rig: Rig, p: Floats, command: Floats, q: Floats) -> Floats:

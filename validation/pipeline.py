@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,15 +15,22 @@ _DRAIN = 0.3
 
 
 @contextmanager
-def running(folder: Path, nodes: Mapping[str, Mapping[str, object]]) -> Iterator[Processes]:
-    """Nodes with their parameters, the plant as the last one; the bag is in ``folder/bag`` afterwards."""
+def running(
+    folder: Path, nodes: Mapping[str, Mapping[str, object]], namespaces: Sequence[str] = (), file: Path | None = None
+) -> Iterator[Processes]:
+    """Nodes with their parameters, the plant as the last one; the bag is in ``folder/bag`` afterwards.
+
+    `namespaces`: of the joints that are recorded, default: the usual one. `file`: parameters by namespace and node.
+    """
     # A ROS domain of its own, so that two pipelines cannot hear each other.
     os.environ.setdefault("ROS_DOMAIN_ID", str(free_domain()))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with Processes(folder) as processes:
-        processes.start("record", ["--out", str(folder / "bag")])
+        recorded = [word for name in namespaces for word in ("--namespace", name)]
+        processes.start("record", ["--out", str(folder / "bag"), *recorded])
+        sections = [] if file is None else ["--params-file", str(file)]
         for name, parameters in nodes.items():
-            processes.start(name, ros_arguments(dict(parameters), {}))
+            processes.start(name, [*ros_arguments(dict(parameters), {}), *sections])
         try:
             yield processes
         finally:

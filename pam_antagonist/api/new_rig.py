@@ -62,13 +62,8 @@ def _one_of(*choices: str) -> Callable[[str], str]:
     return read
 
 
-def _part(what: str, parts: Callable[[], Mapping[str, Any]]) -> Callable[[str], str]:
-    def read(text: str) -> str:
-        if text != OWN:
-            named(what, text, dict(parts()))
-        return text
-
-    return read
+def _part(what: str, parts: Callable[[], dict[str, Any]]) -> Callable[[str], Any]:
+    return lambda text: OWN if text == OWN else named(what, text, parts())
 
 
 def _list(parts: Callable[[], Mapping[str, Any]]) -> str:
@@ -85,25 +80,21 @@ def _or_none(quantity: str, low: float, high: float) -> Callable[[str], float | 
     return lambda text: None if text == "none" else _quantity(quantity, low, high)(text)
 
 
-def _volts(text: str) -> tuple[float, float]:
-    low, colon, high = text.partition(":")
-    read = _quantity("voltage", -10.0, 10.0, "V")
-    values = (read(low), read(high)) if colon else (math.nan, math.nan)
-    if not values[0] < values[1]:
-        raise BadInput(f"{text!r}: expected the least and the largest voltage [V], such as 0:10 or -5:5")
-    return values
+def _range(
+    what: str, least: Callable[[str], float], largest: Callable[[str], float]
+) -> Callable[[str], tuple[float, float]]:
+    """Reads two numbers with a colon between them; their unit may be given once."""
 
-
-def _gauge_range(text: str) -> tuple[float, float]:
-    low, colon, high = text.partition(":")
-    values = (math.nan, math.nan)
-    if colon:
+    def read(text: str) -> tuple[float, float]:
+        low, colon, high = text.partition(":")
         known, unit = _NUMBER.fullmatch(plain(low)), _NUMBER.fullmatch(plain(high))
         low += "" if known is None or known[2] or unit is None else unit[2]  # as in 1:6bar
-        values = _quantity("pressure", 0.0, 9e5)(low), _quantity("pressure", 2e4, 1.5e6)(high)
-    if not values[0] < values[1]:
-        raise BadInput(f"{text!r}: expected the least and the largest gauge pressure, such as 0bar:6bar")
-    return values
+        values = (least(low), largest(high)) if colon else (math.nan, math.nan)
+        if not values[0] < values[1]:
+            raise BadInput(f"{text!r}: expected the least and the largest {what}")
+        return values
+
+    return read
 
 
 @dataclass(frozen=True)
@@ -135,6 +126,8 @@ class Answers:
     `assumed`: names of the questions for which the default was taken. `before`: of an answer's name in messages.
     """
 
+    _how_to_give = "expected an answer to each of these"
+
     def __init__(self, given: Mapping[str, str | None], before: str = "") -> None:
         self._given, self._before = given, before
         self.values: dict[str, Any] = {}
@@ -142,20 +135,28 @@ class Answers:
         self.assumed: set[str] = set()
 
     def read(self) -> None:
-        """Read what was given, in the order of the questions."""
+        """Read what was given, in the order of the questions; what another answer made needless is forgotten."""
+        missing = []
         for question in QUESTIONS:
-            text, label = self._given.get(question.name), self._label(question.option)
+            name, text, label = question.name, self._given.get(question.name), self._label(question.option)
             if not question.wanted(self.values):
-                if text is not None:
+                if text is not None and name not in self.texts:
                     option, answer = question.only_with
                     raise BadInput(f"{label}: only with {self._label(option)} {answer}".rstrip())
-            elif text is None:
-                self.unanswered(question)
-            else:
+                self.values.pop(name, None)
+                self.texts.pop(name, None)
+            elif name in self.texts:
+                continue
+            elif text is not None:
                 try:
                     self.take(question, str(text))
                 except BadInput as error:
                     raise BadInput(f"{label} {error}") from None
+            elif not self.answered(question):
+                missing.append(f"{label} ({question.how})")
+                self.values[name] = None
+        if missing:
+            raise BadInput(f"missing: {', '.join(missing)}; {self._how_to_give}")
 
     def _label(self, option: str) -> str:
         return f"{self._before}{option}" if self._before else option.replace("-", "_")
@@ -164,12 +165,12 @@ class Answers:
         """Take an answer."""
         self.values[question.name], self.texts[question.name] = question.read(text), text
 
-    def unanswered(self, question: Question) -> None:
-        """Take the default where there is no answer."""
-        if question.default is None:
-            raise BadInput(f"{question.name}: missing; expected {question.text[0].lower()}{question.text[1:]}")
-        self.take(question, question.default)
-        self.assumed.add(question.name)
+    def answered(self, question: Question) -> bool:
+        """Take the default where there is no answer; whether there is one."""
+        if question.default is not None:
+            self.take(question, question.default)
+            self.assumed.add(question.name)
+        return question.default is not None
 
 
 _SHEET = "its data sheet"
@@ -177,6 +178,7 @@ _VALVES, _REGULATORS, _LIMB = ("drive", "valve"), ("drive", "regulator"), ("limb
 _NO_MUSCLE = ("muscle", OWN)
 _metres = partial(_quantity, "length")
 _pascals = partial(_quantity, "pressure")
+_volts = _quantity("voltage", -10.0, 10.0, "V")
 _FIELDS = (
     ("name", "Name of the rig", "letters, digits, - and _", _name, "my_rig"),
     ("kind", "Lever or pulley",
@@ -201,7 +203,8 @@ _FIELDS = (
      "valve if your driver commands a voltage, regulator if it commands a pressure", _one_of("valve", "regulator"),
      "valve"),
     ("regulator", "Pressure regulator", _list(regulator_parts), _part("regulator", regulator_parts), OWN, _REGULATORS),
-    ("regulator-range", "Least and largest gauge pressure of a regulator", _SHEET, _gauge_range, "0bar:6bar",
+    ("regulator-range", "Least and largest gauge pressure of a regulator", _SHEET,
+     _range("gauge pressure, such as 0bar:6bar", _pascals(0.0, 9e5), _pascals(2e4, 1.5e6)), "0bar:6bar",
      ("regulator", OWN)),
     ("regulator-time", "Time of a regulator from 10 to 90 % of a small step, with the muscle on it [s]",
      "a recorded step, or its data sheet", _quantity("time", 0.002, 1.0, "s"), "0.03", _REGULATORS),
@@ -213,7 +216,7 @@ _FIELDS = (
      _one_of("closed", "open"), "closed", ("valve", OWN)),
     ("voltage", "Least and largest voltage of a valve [V]",
      "what your driver can put out; -5:5 with a bipolar amplifier, over whose range the valve's curve is then laid",
-     _volts, "0:10", _VALVES),
+     _range("voltage [V], such as 0:10 or -5:5", _volts, _volts), "0:10", _VALVES),
     ("inertia", "Inertia of the parts that turn with the joint [kg m²]",
      "roughly the mass times the squared distance of its centre from the axis",
      _quantity("inertia", 2e-7, 5.0, "kg m²")),
@@ -266,7 +269,7 @@ def new_rig(**answers: str) -> Rig:
         raise BadInput(f"{unknown[0]}: no such answer; expected one of {expected}")
     given = Answers(answers)
     given.read()
-    return starting_point(facts_of(given.values))
+    return starting_point(facts_of(given))
 
 
 _AS_ANSWERED = (
@@ -274,18 +277,18 @@ _AS_ANSWERED = (
 )  # fmt: skip
 
 
-def facts_of(values: Mapping[str, Any]) -> Facts:
+def facts_of(answers: Answers) -> Facts:
     """What the answers say."""
-    low, high = values.get("voltage", (0.0, 10.0))
+    values, texts = answers.values, answers.texts
     regulator = _regulator(values) if values["drive"] == "regulator" else None
     mass = values["limb_mass"]
     return Facts(
         **{name: values[name] for name in _AS_ANSWERED},
         muscle=_muscle(values),
-        muscle_name=f"muscle {values['muscle']}",
+        muscle_name=f"muscle {texts['muscle']}",
         valve=_valve(values, regulator),
-        valve_name=f"valve {values['valve']}" if regulator is None else f"pressure regulators {values['regulator']}",
-        voltage=(low, high),
+        valve_name=f"valve {texts['valve']}" if regulator is None else f"pressure regulators {texts['regulator']}",
+        voltage=values.get("voltage", (0.0, 10.0)),
         pressure_range=values["sensor_range"],
         pressure_bits=round(values["sensor_bits"]),
         period=1.0 / values["rate"],
@@ -297,7 +300,7 @@ def facts_of(values: Mapping[str, Any]) -> Facts:
 
 def _muscle(values: Mapping[str, Any]) -> MusclePart:
     if values["muscle"] != OWN:
-        return named("muscle", values["muscle"], muscle_parts())
+        return values["muscle"]
     sheet = {name: values[f"muscle_{name}"] for name in ("diameter", "force", "pressure")}
     share = values["muscle_contraction"] / 100.0
     return MusclePart(**sheet, contraction=share, source="measured or by its data sheet")
@@ -307,7 +310,7 @@ def _valve(values: Mapping[str, Any], regulator: RegulatorPart | None) -> ValveP
     if regulator is not None:
         return valve_parts()["shin2022"].replaced(source=regulator.source)  # its numbers play no part
     if values["valve"] != OWN:
-        return named("valve", values["valve"], valve_parts())
+        return values["valve"]
     curve, closed = Curve(voltage=values["voltage"], open_rate=(0.0, 1.0)), values["valve_centre"] == "closed"
     source = "its data sheet; the curve is a guess"
     return ValvePart(flow=values["valve_flow"], curve=curve, closed_centre=closed, source=source)
@@ -315,7 +318,7 @@ def _valve(values: Mapping[str, Any], regulator: RegulatorPart | None) -> ValveP
 
 def _regulator(values: Mapping[str, Any]) -> RegulatorPart:
     if values["regulator"] != OWN:
-        return named("regulator", values["regulator"], regulator_parts())
+        return values["regulator"]
     low, high = values["regulator_range"]
     return RegulatorPart(lowest=low, highest=high, hysteresis=0.0, source="your answer")
 
@@ -335,17 +338,17 @@ def remarks(facts: Facts, assumed: Collection[str]) -> list[str]:
         lines.append(f"Default answers were taken for: {options}.")
     if facts.regulator is not None:
         told = "hysteresis by the same source" if facts.regulator.hysteresis else "hysteresis unknown and taken as none"
-        lines.append(f"Of the regulators: range by {facts.regulator.source}.")
-        lines.append(
-            f"Their rise time is your answer, their damping ratio assumed, {told}. Valves and flow are not used."
-        )
-        lines.append("Compare range and hysteresis with the data sheet of yours.")
-    if facts.regulator is None and facts.voltage[0] < 0.0:
+        lines += [
+            f"Of the regulators: range by {facts.regulator.source}.",
+            f"Their rise time is your answer, their damping ratio assumed, {told}. Valves and flow are not used.",
+            "Compare range and hysteresis with the data sheet of yours.",
+        ]
+    elif facts.voltage[0] < 0.0:
         low, high = facts.voltage
         lines.append(f"A bipolar amplifier: {low:g} to {high:g} V move the valve from end to end.")
     if facts.valve.closed_centre:
-        lines.append(
-            "This valve lets no air pass at its middle voltage (overlap 0.5). Near it, it holds a pressure, so that the"
-        )
-        lines.append("voltages alone do not tell the pressures: recordings with measured pressures are needed.")
+        lines += [
+            "This valve lets no air pass at its middle voltage (overlap 0.5). Near it, it holds a pressure, so that",
+            "the voltages alone do not tell the pressures: recordings with measured pressures are needed.",
+        ]
     return lines

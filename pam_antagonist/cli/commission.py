@@ -76,7 +76,7 @@ def _main(arguments: argparse.Namespace) -> int:
     guess = rig.is_from_data_sheets and not rig.identified
     if not guess:
         load_rig(arguments.rig)  # only a guess is commissioned with regulators
-    work = (GuessedCommission if guess else Commission)(arguments)
+    work = (GuessedCommission if guess else Commission)(arguments, rig)
     try:
         with work.announced():
             for name in work.STEPS:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from pam_antagonist.cli.commission_steps import Commission, StepFailed
+from pam_antagonist.cli.commission_steps import FIRST_AIR, Commission, StepFailed, from_to
 from pam_antagonist.cli.demo import MODEL, task
 from pam_antagonist.cli.driving import SIMULATED
 from pam_antagonist.control.command import Mode, VoltageLimits
@@ -26,14 +27,14 @@ from pam_antagonist.control.model_law import ModelController, ModelGains, Seen, 
 from pam_antagonist.control.reference import Wanted
 from pam_antagonist.control.stiffness import Box
 from pam_antagonist.design import Plan
-from pam_antagonist.design.exploration import FirstAir, Program, Quick, Slow, Towards
+from pam_antagonist.design.exploration import FirstAir, Quick, Slow, Towards
 from pam_antagonist.design.first_fill import TURNS, pulse_faults
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation import Estimator
 from pam_antagonist.identification import air_stage, joint_stage
+from pam_antagonist.identification.from_pressures import FromPressures
 from pam_antagonist.inference.free_parameters import moved
 from pam_antagonist.model import equilibrium
-from pam_antagonist.recording import read_bag
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.file import write_rig
 from pam_antagonist.rig.physical import angle_range, rest_pressure, rest_voltage, unphysical, vented
@@ -100,23 +101,22 @@ def _drivable(joint: Rig) -> bool:
 class GuessedCommission(Commission):
     """A commissioning of a joint whose rig file is a guess."""
 
-    STEPS = ("wiring", "slow", "quick", "identify", "gains")
+    STEPS: Mapping[str, str] = {
+        "wiring": FIRST_AIR, "slow": "Joint free; it will turn slowly:", "quick": "Joint free; it will turn quickly:",
+        "identify": "", "gains": "",
+    }  # fmt: skip
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        super().__init__(arguments)
+    def __init__(self, arguments: argparse.Namespace, rig: Rig) -> None:
+        super().__init__(arguments, rig)
+        least, command = vented(rig)
+        self._start = Plan(np.empty((0, 2)), rig.sample_period, "free", 0.0, self._limits, least, command)
         if arguments.source in SIMULATED and arguments.plant is None:
             # The file itself would be too easy: its numbers are a guess.
             joint = self._out / "simulated_joint.yaml"
             if not joint.exists():
-                about = f"The simulated joint of a rehearsal, drawn from the priors of {self._rig.name}."
-                write_rig(drawn(self._rig, arguments.seed), joint, [about])
+                about = f"The simulated joint of a rehearsal, drawn from the priors of {rig.name}."
+                write_rig(drawn(rig, arguments.seed), joint, [about])
             self._owner = replace(self._owner, rig=str(joint.resolve()), mismatch=0.0)
-
-    def _explored(self, name: str, program: Program) -> dict[str, Any]:
-        """Drive the joint by a program, from muscles without air on."""
-        least, command = vented(self._rig)
-        plan = Plan(np.empty((0, 2)), self._rig.sample_period, "free", 0.0, self._limits, least, command)
-        return self._recorded(name, plan, program, _WIDER)
 
     def _towards(self) -> Towards:
         p, (low, high) = self._rig.parameters(), self._rig.command_limits
@@ -129,49 +129,34 @@ class GuessedCommission(Commission):
 
     @override
     def _wiring(self) -> dict[str, Any]:
-        self._ask("wiring", "Joint free, nothing in its way, supply on; keep away from it:")
         program = FirstAir(self._rig)
-        driven = self._explored("wiring", program)
-        recording = read_bag(self._out / driven.pop("bag"), judge=False)
-        if found := pulse_faults(self._rig, recording, program.pulses):
-            raise StepFailed("\n".join(fault.sentence for fault in found))
+        _, recording = self._driven("wiring", self._start, program, _WIDER)
+        self._refuse(pulse_faults(self._rig, recording, program.pulses))
         turned = ", ".join(f"{math.degrees(pulse.turned):+.1f}" for pulse in program.pulses)
         said = f"each valve fills its muscle; a little air turned the joint by {turned} deg"
         if still := [str(i) for i, pulse in enumerate(program.pulses, 1) if not abs(pulse.turned) > TURNS]:
             said += f"; with valve {' and '.join(still)} too little to show the encoder's sign: check it by hand"
-        return {"said": said, "doubt": bool(still), **driven}
+        return {"said": said, "doubt": bool(still), "rig_s": recording.duration_s}
 
     def _slow(self) -> dict[str, Any]:
-        self._ask("slow", "Joint free; it will turn slowly:")
         program = Slow(self._rig, self._limits, self._towards())
-        driven = self._explored("slow", program)
-        recording = read_bag(self._out / driven["bag"], judge=False)
-        assert recording.angle is not None
-        low, high = (math.degrees(float(bound(recording.angle))) for bound in (np.nanmin, np.nanmax))
+        driven = self._recorded("slow", self._start, program, _WIDER)
         if not program.confined:
             raise StepFailed(
                 "slow: the difference of the pressures did not turn the joint to its middle: is a muscle off, does a "
                 "load hold it, or does the encoder count the other way?"
             )
-        return {"said": f"the joint turned slowly from {low:+.1f} to {high:+.1f} deg", **driven}
+        return {"said": f"the joint turned slowly {from_to(self._recording(driven))}", **driven}
 
     def _quick(self) -> dict[str, Any]:
-        self._ask("quick", "Joint free; it will turn quickly:")
-        slow = read_bag(self._out / self.steps["slow"]["bag"], judge=False)
-        seconds, seed = self._arguments.duration, self._arguments.seed
-        program = Quick(self._rig, self._limits, self._towards(), slow, seconds, seed)
-        driven = self._explored("quick", program)
+        seconds, slow = self._arguments.duration, self._recording(self.steps["slow"])
+        program = Quick(self._rig, self._limits, self._towards(), slow, seconds, self._arguments.seed)
+        driven = self._recorded("quick", self._start, program, _WIDER)
         return {"said": f"moved for {seconds:.0f} s, at last within {program.fastest:.2g} s a move", **driven}
 
     @override
     def _identify(self) -> dict[str, Any]:
-        from pam_antagonist.api.diagnose import IdentifyResult, identify
-        from pam_antagonist.identification.from_pressures import FromPressures
-
-        result = identify([*self._bags().values()], self._rig, seed=self._arguments.seed)
-        assert isinstance(result, IdentifyResult), "a rig of new_rig"
-        result.save(self._result("identified"), figures=True)
-        self._note_down(result)
+        result = self._identified(figures=True)
         if result.rejected:
             raise StepFailed(f"identify: do not use this rig: {result.rejected}")
         found = result.found
@@ -197,8 +182,7 @@ class GuessedCommission(Commission):
         }  # fmt: skip
         self._write_parameters(given)
         said = f"law through the model: pressures in {1e3 / gains.bandwidth:.0f} ms, integral {gains.integral:.2g}/s; "
-        said += held.in_words()
-        return {"said": said, "gains": given}
+        return {"said": said + held.in_words(), "gains": given}
 
 
 class Held(NamedTuple):
@@ -214,18 +198,6 @@ class Held(NamedTuple):
             return f"simulated joints hold their angles within {math.degrees(self.error):.2g} deg"
         how = f"err by {math.degrees(self.error):.2g} deg" if math.isfinite(self.error) else "run away"
         return f"with the best gains simulated joints {how}, expected {math.degrees(self.allowed):.2g} deg at most"
-
-
-def seen(row: np.void) -> Seen:
-    """What a law goes by, of an estimate (an ``ESTIMATE_DTYPE``)."""
-    covariance, innovation = row["covariance"], row["innovation_covariance"]
-    first, second = row["pressure"].tolist()
-    return Seen(
-        float(row["angle"]), float(row["velocity"]), float(row["torque"]), first, second,
-        float(row["external_torque"]), float(row["external_torque_covariance"][3]),
-        float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[2, 2]),
-        float(innovation[0, 0]), float(innovation[1, 1]),
-    )  # fmt: skip
 
 
 def held_angles(rig: Rig, plant: Plant, gains: ModelGains, zero: float = 0.0) -> Held:
@@ -249,7 +221,7 @@ def held_angles(rig: Rig, plant: Plant, gains: ModelGains, zero: float = 0.0) ->
         assert row is not None  # every sample is newer than the one before
         if abs(sample.truth[0]) > 0.5 * math.pi:
             return Held(math.inf, allowed, largest)  # it has run away
-        command = laws.step(Wanted(Mode.ANGLE, float(values[k // size])), seen(row)).voltage
+        command = laws.step(Wanted(Mode.ANGLE, float(values[k // size])), Seen.of(row)).voltage
         angles.append(float(sample.truth[0]) - zero)
     ends = np.reshape(angles, (len(values), size))[:, -last:] - values[:, None]
     error = float(np.max(np.sqrt(np.mean(ends**2, axis=1))))

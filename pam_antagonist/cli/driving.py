@@ -75,9 +75,8 @@ class Owner:
         if self.source == "plant":
             given |= {"joint": plan.joint, "lock_angle": plan.lock_angle, "wait_for_subscribers": 1}
             given |= {"seed": self.seed, "mismatch": self.mismatch, "initial_pressure": [plan.pressure] * 2}
-        given |= {
-            name: value for name, value in (("port", self.port), ("hardware", self.hardware)) if value is not None
-        }
+        bridge = {"port": self.port, "hardware": self.hardware}
+        given |= {name: value for name, value in bridge.items() if value is not None}
         files = [] if self.parameters is None else ["--params-file", str(self.parameters)]
         return [*ros_arguments(given, {}), *files]
 
@@ -105,11 +104,9 @@ def limits_of(arguments: argparse.Namespace, rig: Rig) -> Limits:
     """The limits that were given, with defaults."""
     from pam_antagonist.design import Limits
 
-    usual = Limits.of(rig)
-    low, high = (
-        default if given is None else given * _KPA
-        for given, default in zip((arguments.min_pressure, arguments.max_pressure), usual.pressure, strict=True)
-    )
+    low, high = Limits.of(rig).pressure
+    low = low if arguments.min_pressure is None else arguments.min_pressure * _KPA
+    high = high if arguments.max_pressure is None else arguments.max_pressure * _KPA
     angle = None if arguments.max_angle is None else math.radians(arguments.max_angle)
     return Limits.of(rig, (low, high), angle, arguments.max_rate)
 
@@ -231,15 +228,10 @@ def rehearse(rig: Rig, plan: Plan, program: Program, seed: int, mismatch: float,
             samples += [plant.step(plan.rest) for _ in range(round(RETREAT / period))]
             break
     stamps = FIRST_STAMP_NS + np.rint(np.arange(len(samples)) * period * 1e9).astype(np.int64)
+    pressure, voltage, angles, torque, encoder, _ = (np.array(column) for column in zip(*samples, strict=True))
     recording = Recording(
-        path=bag,
-        stamp_ns=stamps,
-        pressure=np.array([sample.pressure for sample in samples]),
-        voltage=np.array([sample.voltage for sample in samples]),
-        angle=np.array([sample.angle for sample in samples]),
-        torque=np.array([sample.torque for sample in samples]),
-        angle_sensor=None if rig.encoder is None else np.array([sample.encoder for sample in samples]),
-        drive=rig.drive,
-    )
+        path=bag, stamp_ns=stamps, pressure=pressure, voltage=voltage, angle=angles, torque=torque,
+        angle_sensor=None if rig.encoder is None else encoder, drive=rig.drive,
+    )  # fmt: skip
     write_bag(bag, recording, pressure_variance=rig.sensors.pressure_std**2)
     return FIRST_STAMP_NS, ended

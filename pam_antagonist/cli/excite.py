@@ -105,7 +105,7 @@ def _between(
     arguments: argparse.Namespace, rig: Rig, limits: Limits, angle: float, advance: Callable[[float], None]
 ) -> tuple[Plan, str]:
     """The experiment that tells a found effect from its rivals, and in words what it promises."""
-    from pam_antagonist.design.apart import LIKELY, instead_of, no_motion_decides, told_apart
+    from pam_antagonist.design.apart import LIKELY, no_motion_decides, told_apart
     from pam_antagonist.inference.trial import CHANNELS
 
     found, effect, rivals = undecided(arguments.tell_apart)
@@ -118,7 +118,7 @@ def _between(
     text = f"{effect} or {' or '.join(rivals)}: decided with a probability of {verdict.chance:.0%} ({each}), "
     text += f"in {verdict.plan.duration:.0f} s with the joint {arguments.joint}"
     if verdict.chance < LIKELY:
-        text += f". {no_motion_decides(instead_of(extended, effect, rivals, verdict, channels))}"
+        text += f". {no_motion_decides(extended, effect, rivals, verdict, channels)}"
     return verdict.plan, text
 
 

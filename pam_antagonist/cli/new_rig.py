@@ -80,22 +80,18 @@ def _main(arguments: argparse.Namespace) -> int:
 class _Answers(Answers):
     """Answers of options first, then of the person at the terminal, where there is one."""
 
+    _how_to_give = "give them as options, or start the command in a terminal, where it asks for them"
+
     def __init__(self, given: Mapping[str, str | None]) -> None:
         super().__init__(given, "--")
         self._person = sys.stdin.isatty()
-        self._missing: list[str] = []
         self.asked = False
 
     def rig(self) -> tuple[Facts, Rig]:
         """What the answers say, and the rig file that they make; answers that contradict each other are asked again."""
-        self.read()
-        if self._missing:
-            raise BadInput(
-                f"missing: {', '.join(self._missing)}; give them as options, or start the command in a terminal, where "
-                "it asks for them"
-            )
         while True:
-            facts = facts_of(self.values)
+            self.read()
+            facts = facts_of(self)
             try:
                 return facts, starting_point(facts)
             except Contradiction as error:
@@ -110,26 +106,12 @@ class _Answers(Answers):
                 print(f"\n{error}\nPlease answer again; Enter keeps an answer.")
                 for question in again:
                     self._ask(question, self.texts[question.name])
-                self._complete()
-
-    def _complete(self) -> None:
-        """Ask what a new answer makes necessary, and forget what it makes needless."""
-        for question in QUESTIONS:
-            if not question.wanted(self.values):
-                self.values.pop(question.name, None)
-                self.texts.pop(question.name, None)
-            elif question.name not in self.values:
-                self._ask(question, question.default)
 
     @override
-    def unanswered(self, question: Question) -> None:
+    def answered(self, question: Question) -> bool:
         if self._person:
             self._ask(question, question.default)
-        elif question.default is None:
-            self._missing.append(f"--{question.option} ({question.how})")
-            self.values[question.name] = None
-        else:
-            super().unanswered(question)
+        return self._person or super().answered(question)
 
     def _ask(self, question: Question, default: str | None) -> None:
         """Ask until an answer makes sense."""

@@ -95,6 +95,18 @@ class Seen(NamedTuple):
     pressure_variance_1: float = 0.0  # [Pa²], or an upper bound
     pressure_variance_2: float = 0.0  # likewise
 
+    @classmethod
+    def of(cls, row: np.void) -> Seen:
+        """Of an estimate (a row of ``ESTIMATE_DTYPE``)."""
+        covariance, innovation = row["covariance"], row["innovation_covariance"]
+        first, second = row["pressure"].tolist()
+        return cls(
+            float(row["angle"]), float(row["velocity"]), float(row["torque"]), first, second,
+            float(row["external_torque"]), float(row["external_torque_covariance"][3]),
+            float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[2, 2]),
+            float(innovation[0, 0]), float(innovation[1, 1]),
+        )  # fmt: skip
+
 
 class Reached(NamedTuple):
     """Wanted pressures of the law at the last sample."""

@@ -274,16 +274,15 @@ def instead_of(
     rig: Rig, effect: str, rivals: Sequence[str], verdict: ExpectedOutcome, channels: Sequence[int]
 ) -> tuple[str, ...]:
     """Further sensors, or the other condition of the joint, that would decide; each is tried by a design."""
-    plan, out = verdict.plan, []
-    missing = [channel for channel in _SENSORS if channel not in channels]
-    if plan.joint == "locked":
-        missing = [channel for channel in missing if channel != ANGLE]
+    plan = verdict.plan
+    shown = (*channels, ANGLE) if plan.joint == "locked" else channels
+    missing = [channel for channel in _SENSORS if channel not in shown]
     # First with the same voltages, which is fast: a further sensor never reduces the information.
     by_sensor = {channel: promised(rig, effect, rivals, plan, (*channels, channel)) for channel in missing}
     if not any(value >= LIKELY for value in by_sensor.values()):
         given = (rig, effect, rivals, plan.limits, plan.duration, plan.joint, plan.lock_angle)
         by_sensor = {channel: told_apart(*given, channels=(*channels, channel)).chance for channel in missing}
-    out += [f"{_SENSORS[channel]} ({value:.0%})" for channel, value in by_sensor.items() if value >= LIKELY]
+    out = [f"{_SENSORS[channel]} ({value:.0%})" for channel, value in by_sensor.items() if value >= LIKELY]
     other = "locked" if plan.joint == "free" else "free"
     if not (other == "locked" and any(CATALOGUE[name].needs_motion for name in (effect, *rivals))):
         further = told_apart(rig, effect, rivals, plan.limits, plan.duration, other, channels=channels)
@@ -292,7 +291,9 @@ def instead_of(
     return tuple(out)
 
 
-def no_motion_decides(instead: Sequence[str]) -> str:
+def no_motion_decides(
+    rig: Rig, effect: str, rivals: Sequence[str], verdict: ExpectedOutcome, channels: Sequence[int]
+) -> str:
     """That no experiment within the limits decides, and what would."""
-    text = "No motion within the limits distinguishes them"
+    text, instead = "No motion within the limits distinguishes them", instead_of(rig, effect, rivals, verdict, channels)
     return text + (f"; this would: {'; '.join(instead)}" if instead else ", nor does another sensor or a lock")

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,8 @@ from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import steady_voltage
 
 Floats = NDArray[np.float64]
+Commands = tuple[float, float]
+"""Of both valves [V], or of both regulators [Pa]."""
 Towards = Callable[[int, float, float], float]
 """Muscle (0 or 1), its pressure and the wanted one [Pa] -> command: voltage [V], or pressure of a regulator [Pa]."""
 
@@ -75,7 +77,7 @@ class Program(ABC):
     seconds = math.inf
 
     @abstractmethod
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> Commands | None:
         """Commands for the next sample, from the time [s] and what is measured [Pa], [rad]; None at the end."""
 
 
@@ -88,107 +90,120 @@ class Planned(Program):
         self._voltage, self._period, self.seconds = voltage, period, len(voltage) * period
 
     @override
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
+    def command(self, time: float, pressure: Floats, angle: float) -> Commands | None:
         # A little later, so that rounding takes no sample for the one before it.
         first, second = self._voltage[min(int(time / self._period + 1e-6), len(self._voltage) - 1)]
         return first, second
 
 
+class _Motion(Program):
+    """A program that reads like its course: a generator of commands, which finds what is measured in ``self``."""
+
+    def __init__(self) -> None:
+        self._time, self._pressure, self._angle = 0.0, np.full(2, math.nan), math.nan
+        self._commands = self._course()
+
+    @override
+    def command(self, time: float, pressure: Floats, angle: float) -> Commands | None:
+        self._time, self._pressure, self._angle = time, pressure, angle
+        return next(self._commands, None)
+
+    @abstractmethod
+    def _course(self) -> Iterator[Commands]:
+        """The commands, one a sample."""
+
+
 @dataclass
 class Pulse:
-    """What :class:`FirstAir` saw of one valve."""
+    """What was seen of one valve that let a little air in."""
 
     rise: Floats  # of both sensors (2,) [Pa]
     turned: float  # by how much the joint turned [rad]
-    lost: float  # part of the rise that was gone after the hold [-]; NaN where the valve's own pressure did not rise
     level: Floats  # both pressures before (2,) [Pa]
 
 
-class FirstAir(Program):
+class FirstAir(_Motion):
     """Open one valve after the other, slowly, until a pressure rises."""
 
     def __init__(self, rig: Rig) -> None:
+        super().__init__()
         self._low, self._high = rig.command_limits
         # A valve that is closed in the middle is shut there; another one is held where the pressure rose.
-        shut = steady_voltage(rig, rig.supply.pressure) if rig.drive == "valve" else None
         closed = rig.drive == "valve" and min(rig.valve_1.overlap, rig.valve_2.overlap) >= 0.5
-        self._shut = shut if closed else None
-        self._phase, self._since, self._valve, self._held = "settle", 0.0, 0, 0.0
-        self._before, self._angle = np.zeros(2), 0.0
-        self._peak = np.zeros(2)
+        self._shut = steady_voltage(rig, rig.supply.pressure) if closed else None
         self.pulses: list[Pulse] = []
         self.seconds = _SETTLE_S + 2.0 * (_RAMP_S + _HOLD_S + _VENT_S)
 
     @override
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        out, elapsed, own = [self._low, self._low], time - self._since, self._valve
-        if self._phase == "settle":
-            if elapsed < _SETTLE_S:
-                return self._low, self._low
-            self._begin("ramp", time)
-            self._before, self._angle, elapsed = pressure.copy(), angle, 0.0
-        if self._phase == "ramp":
-            out[own] = self._low + min(elapsed / _RAMP_S, 1.0) * (self._high - self._low)
-            if np.max(pressure - self._before) > RISE or elapsed > _RAMP_S:
-                self._held = out[own] if self._shut is None else self._shut[own]
-                self._peak = pressure.copy()
-                self._begin("hold", time)
-        elif self._phase == "hold":
-            out[own] = self._held
-            self._peak = np.maximum(self._peak, pressure)
+    def _course(self) -> Iterator[Commands]:
+        yield from self._vented(_SETTLE_S)
+        for valve in (0, 1):
+            level, angle, begun, opened = self._pressure.copy(), self._angle, self._time, self._low
+            while not np.max(self._pressure - level) > RISE and self._time - begun <= _RAMP_S:
+                opened = self._low + (self._time - begun) / _RAMP_S * (self._high - self._low)
+                yield self._with(valve, opened)
+            rise, begun = self._pressure - level, self._time
             # A curve that is shifted may let air in where the valve should be shut.
-            if elapsed > _HOLD_S or self._peak[own] - self._before[own] > _MOST_RISES * RISE:
-                rise = self._peak - self._before
-                lost = (self._peak[own] - pressure[own]) / rise[own] if rise[own] > 0.5 * RISE else math.nan
-                self.pulses.append(Pulse(rise, angle - self._angle, float(lost), self._before))
-                self._begin("vent", time)
-        elif self._phase == "vent" and elapsed > _VENT_S:
-            if self._valve == 1:
-                return None
-            self._valve = 1
-            self._begin("ramp", time)
-            self._before, self._angle = pressure.copy(), angle
-        return out[0], out[1]
+            while self._time - begun <= _HOLD_S and not rise[valve] > _MOST_RISES * RISE:
+                yield self._with(valve, opened if self._shut is None else self._shut[valve])
+                rise = np.maximum(rise, self._pressure - level)
+            self.pulses.append(Pulse(rise, self._angle - angle, level))
+            yield from self._vented(_VENT_S)
 
-    def _begin(self, phase: str, time: float) -> None:
-        self._phase, self._since = phase, time
+    def _vented(self, seconds: float) -> Iterator[Commands]:
+        begun = self._time
+        while self._time - begun < seconds:
+            yield self._low, self._low
+
+    def _with(self, valve: int, command: float) -> Commands:
+        """A command of one valve, while the other one lets the air out."""
+        return (self._low, command) if valve else (command, self._low)
 
 
-class _Confined(Program):
+class _Confined(_Motion):
     """What slow and quick turns share: mean and half difference of the wanted pressures, and the encoder's rate."""
 
     def __init__(self, rig: Rig, limits: Limits, towards: Towards) -> None:
-        self._towards, self._angle_limit, self._before = towards, limits.angle, 0.0
-        self._period = rig.sample_period  # since the last look
+        super().__init__()
+        self._towards, self._limit = towards, limits.angle
+        self._period = rig.sample_period  # since the last sample
         self._lowest, self._highest = pressure_range(rig, limits)
         self._range = self._highest - self._lowest
         self._mean, self._half = self._lowest, 0.0
-        self._velocity, self._last, self.confined = 0.0, math.nan, False
+        self._velocity, self.confined = 0.0, False
 
-    def _see(self, time: float, angle: float) -> None:
-        self._period, self._before = max(time - self._before, 1e-6), time
-        if math.isfinite(angle):
-            if math.isfinite(self._last):
-                share = min(self._period / _VELOCITY_S, 1.0)
-                self._velocity += share * ((angle - self._last) / self._period - self._velocity)
-            self._last = angle
-        if not math.isfinite(self._last):
+    @override
+    def command(self, time: float, pressure: Floats, angle: float) -> Commands | None:
+        self._period, before = max(time - self._time, 1e-6), self._angle
+        if math.isfinite(angle) and math.isfinite(before):
+            share = min(self._period / _VELOCITY_S, 1.0)
+            self._velocity += share * ((angle - before) / self._period - self._velocity)
+        seen = angle if math.isfinite(angle) else before
+        if not math.isfinite(seen):
             raise BadInput("the encoder shows no angle; expected one, which a rig that was never identified needs")
+        return super().command(time, pressure, seen)
 
-    def _turn(self, angle: float, wanted: float) -> bool:
-        """Move the difference towards an angle, slowly; whether it has arrived."""
-        error = (wanted - angle) / self._angle_limit
+    def _fill(self, share: float) -> float:
+        """Move the mean pressure towards a share of the range, slowly; what is left, in steps of a sample."""
+        wanted, step = self._lowest + share * self._range, _FILL_RATE * self._range * self._period
+        self._mean += min(max(wanted - self._mean, -step), step)
+        return abs(wanted - self._mean) / step
+
+    def _turn(self, wanted: float) -> bool:
+        """Move the difference towards an angle [rad], slowly; whether it has arrived."""
+        error = (wanted - self._angle) / self._limit
         self._half += _TURN_RATE * self._range * self._period * min(max(error / 0.15, -1.0), 1.0)
-        self._bound()
+        self._half = self._possible(self._mean, self._half)
         return abs(error) < _NEAR
 
-    def _bound(self) -> None:
-        most = max(min(self._mean - self._lowest, self._highest - self._mean), 0.0)
-        self._half = min(max(self._half, -most), most)
+    def _possible(self, mean: float, half: float) -> float:
+        """The half difference of the pressures that is possible with a mean [Pa]."""
+        most = max(min(mean - self._lowest, self._highest - mean), 0.0)
+        return min(max(half, -most), most)
 
-    def _commands(self, pressure: Floats) -> tuple[float, float]:
+    def _now(self) -> Commands:
         first, second = self._mean + self._half, self._mean - self._half
-        return self._towards(0, float(pressure[0]), first), self._towards(1, float(pressure[1]), second)
+        return self._towards(0, float(self._pressure[0]), first), self._towards(1, float(self._pressure[1]), second)
 
 
 def pressure_range(rig: Rig, limits: Limits) -> tuple[float, float]:
@@ -202,36 +217,30 @@ def pressure_range(rig: Rig, limits: Limits) -> tuple[float, float]:
 class Slow(_Confined):
     """Fill the muscles, and turn the joint slowly: small angles first, low pressures first."""
 
-    def __init__(self, rig: Rig, limits: Limits, towards: Towards) -> None:
-        super().__init__(rig, limits, towards)
-        self._turns = [(share, turn) for share, turns in zip(_COMMON, _TURNS, strict=True) for turn in (0.0, *turns)]
-        self._k, self._since, self._arrived = 0, 0.0, -1.0
-        self.seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * len(self._turns)
+    seconds = _CENTRE_S + (_LONGEST_TURN_S + _DWELL_S) * sum(1 + len(turns) for turns in _TURNS)
 
     @override
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        self._see(time, angle)
-        if self._k == len(self._turns):
-            return None
-        share, turn = self._turns[self._k]
-        wanted_mean = self._lowest + share * self._range
-        step = _FILL_RATE * self._range * self._period
-        self._mean += min(max(wanted_mean - self._mean, -step), step)
-        near = self._turn(self._last, turn * self._angle_limit) and abs(wanted_mean - self._mean) < step
-        if near and abs(self._last) < _REACH * self._angle_limit:
-            self.confined = True
-        if near and self._arrived < 0.0:
-            self._arrived = time
-        longest = _LONGEST_TURN_S if self._k else _CENTRE_S
-        if (self._arrived >= 0.0 and time - self._arrived > _DWELL_S) or time - self._since > longest:
-            self._k, self._since, self._arrived = self._k + 1, time, -1.0
-        return self._commands(pressure)
+    def _course(self) -> Iterator[Commands]:
+        begun, longest = 0.0, _CENTRE_S
+        for share, turns in zip(_COMMON, _TURNS, strict=True):
+            for turn in (0.0, *turns):
+                arrived, over = math.inf, False
+                while not over:
+                    left = self._fill(share)
+                    if self._turn(turn * self._limit) and left < 1.0:
+                        arrived = min(arrived, self._time)
+                        self.confined = self.confined or abs(self._angle) < _REACH * self._limit
+                    now = self._time
+                    over = now - arrived > _DWELL_S or now - begun > longest
+                    yield self._now()
+                begun, longest = now, _LONGEST_TURN_S
 
 
 class Quick(_Confined):
     """Move the joint to random angles under random mean pressures, from move to move a little faster.
 
-    `slow`: recording of :class:`Slow`, which says which difference holds which angle. `seconds`: length [s].
+    `slow`: recording of :class:`Slow`, which says which difference holds which angle. `seconds`: length [s]. `fastest`:
+    duration of the last moves [s].
     """
 
     def __init__(
@@ -240,76 +249,55 @@ class Quick(_Confined):
         super().__init__(rig, limits, towards)
         self._length, self._rng = seconds, np.random.default_rng(seed)
         self.seconds = seconds + _CENTRE_S
-        self._map, self._reach = _held_by(slow, self._angle_limit)
-        self._move_s, self._size, self._turned_back = _MOVES_S[0], 0.5, False
-        self._from = self._to = (self._mean, 0.0)
-        self._start = self._least = self._most = 0.0
-        self._begun, self._next, self._end, self._ready = 0.0, math.inf, math.inf, False
-
-    @property
-    def fastest(self) -> float:
-        """Duration of the last moves [s]."""
-        return self._move_s
+        self._map, self._reach = _held_by(slow, self._limit)
+        self.fastest, self._size = _MOVES_S[0], 0.5
 
     @override
-    def command(self, time: float, pressure: Floats, angle: float) -> tuple[float, float] | None:
-        self._see(time, angle)
-        if not self._ready:
-            # Fill the muscles, with the joint in the middle, as in the beginning.
-            middle, step = self._lowest + _COMMON[1] * self._range, _FILL_RATE * self._range * self._period
-            self._mean += min(max(middle - self._mean, -step), step)
-            near = self._turn(self._last, 0.0)
-            self.confined = self.confined or (near and self._mean == middle)
-            if self.confined or time > _CENTRE_S:
-                self.confined = self._ready = True
-                self._begun = self._next = time
-                self._start = self._least = self._most = self._last
-                self._end = time + self._length
-                self._to = self._mean, self._half
-            return self._commands(pressure)
-        if time >= self._end:
-            return None
-        if time >= self._next:
-            self._choose(time)
-        share = min((time - self._begun) / self._move_s, 1.0)
-        self._mean = self._from[0] + share * (self._to[0] - self._from[0])
-        self._half = self._from[1] + share * (self._to[1] - self._from[1])
-        ahead = self._last + _AHEAD_S * self._velocity
-        side = math.copysign(1.0, ahead)
-        self._least, self._most = min(self._least, self._last), max(self._most, self._last)
-        if abs(ahead) > _GUARD * self._angle_limit:
-            # Turned back from here: the move is given up.
-            self._half -= side * _GUARD_RATE * self._range * self._period
-            self._from = self._to = self._mean, self._half
-            self._turned_back = True
-        self._bound()
-        return self._commands(pressure)
+    def _course(self) -> Iterator[Commands]:
+        # Fill the muscles, with the joint in the middle, as in the beginning.
+        while not self.confined:
+            left, near, begun = self._fill(_COMMON[1]), self._turn(0.0), self._time
+            self.confined = (near and left == 0.0) or begun > _CENTRE_S
+            yield self._now()
+        end, swing, turned_back = begun + self._length, 0.0, False
+        while self._time < end:
+            self._pace(swing, turned_back)
+            begun, start = self._time, self._angle
+            (mean, half), (to_mean, to_half) = (self._mean, self._half), self._chosen()
+            pause = float(self._rng.uniform(0.3, 1.2))
+            least, most, turned_back = start, start, False
+            while self._time < min(begun + self.fastest + pause, end):
+                share = min((self._time - begun) / self.fastest, 1.0)
+                self._mean, self._half = mean + share * (to_mean - mean), half + share * (to_half - half)
+                least, most = min(least, self._angle), max(most, self._angle)
+                ahead = self._angle + _AHEAD_S * self._velocity
+                if abs(ahead) > _GUARD * self._limit:
+                    # Turned back from here: the move is given up.
+                    self._half -= math.copysign(_GUARD_RATE * self._range * self._period, ahead)
+                    mean, half = to_mean, to_half = self._mean, self._half
+                    turned_back = True
+                self._half = self._possible(self._mean, self._half)
+                yield self._now()
+            # How far the joint swung beyond where it came from and where it came to rest.
+            low, high = sorted((start, self._angle))
+            swing = max(most - high, low - least)
 
-    def _choose(self, time: float) -> None:
-        """The next move: faster where the last one kept to its angle, slower and smaller where it did not."""
-        # How far the joint swung beyond where it came from and where it came to rest.
-        low, high = sorted((self._start, self._last))
-        swing = max(self._most - high, low - self._least)
-        if self._turned_back:
-            self._move_s, self._size = min(self._move_s * _FASTER**-2, _MOVES_S[0]), max(self._size * _SMALLER, _LEAST)
-        elif swing < _SWING * self._angle_limit:
-            self._move_s = max(self._move_s * _FASTER, _MOVES_S[1])
-            self._size = min(self._size + 0.1, 1.0)
+    def _pace(self, swing: float, turned_back: bool) -> None:
+        """Faster where the last move kept to its angle, slower and smaller where it did not. `swing` [rad]."""
+        longest, shortest = _MOVES_S
+        if turned_back:
+            self.fastest, self._size = min(self.fastest * _FASTER**-2, longest), max(self._size * _SMALLER, _LEAST)
+        elif swing < _SWING * self._limit:
+            self.fastest, self._size = max(self.fastest * _FASTER, shortest), min(self._size + 0.1, 1.0)
         else:
-            self._move_s = min(self._move_s * _SLOWER, _MOVES_S[0])
+            self.fastest = min(self.fastest * _SLOWER, longest)
+
+    def _chosen(self) -> tuple[float, float]:
+        """Mean and half difference of the pressures [Pa] that hold a random angle."""
         low, high = self._reach
-        middle, width = 0.5 * (low + high), 0.5 * (high - low)
-        at = middle + self._size * width * float(self._rng.uniform(-1.0, 1.0))
+        at = 0.5 * (low + high) + self._size * 0.5 * (high - low) * float(self._rng.uniform(-1.0, 1.0))
         mean = self._lowest + self._range * float(self._rng.uniform(_COMMON[0], _COMMON[-1]))
-        half = float(self._map @ [1.0, at, mean, at * mean, at * at])
-        self._from = self._mean, self._half
-        self._mean, self._half = mean, half
-        self._bound()
-        self._to = self._mean, self._half
-        self._mean, self._half = self._from
-        self._begun, self._turned_back = time, False
-        self._start = self._least = self._most = self._last
-        self._next = time + self._move_s + float(self._rng.uniform(0.3, 1.2))
+        return mean, self._possible(mean, float(self._map @ [1.0, at, mean, at * mean, at * at]))
 
 
 def _held_by(slow: Recording, limit: float) -> tuple[Floats, tuple[float, float]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pam_antagonist.design.exploration import RISE, Pulse
 from pam_antagonist.design.information import STEP, Information
-from pam_antagonist.design.optimal import Limits, Plan
+from pam_antagonist.design.optimal import Limits, Plan, resampled
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.trial import ANGLE
 from pam_antagonist.recording import Recording
@@ -29,19 +29,20 @@ _LOW_SHARE, _HIGH_SHARE, _MOST_SHARE = 0.15, 0.32, 0.5
 """Low and high pressure of the experiment, and the limit, as shares of the supply's gauge pressure."""
 _LEAST_RISE = 30e3
 """[Pa] A smaller rise does not show clearly which valve caused it."""
-_SETTLE_S, _HOLD_S, _VENT_S = 4.0, 2.5, 5.0
+_PHASES_S = (4.0, 2.5, 2.5, 2.5, 2.5, 5.0)
+"""Both at rest, valve 1 fills, rest, valve 2 fills, rest, and both are vented."""
 _END_S = 0.4
 """[s] Means are taken over this time at the end of each phase."""
-_FOLLOWS = 0.3
-"""A pressure follows a valve if it changes by this share of what the model says, or more."""
+_FOLLOWS, _PULSE_FOLLOWS = 0.3, 0.5
+"""A pressure follows a valve if it changes by this share of what the model says, or of a pulse's rise, or more."""
 _LOSES = 0.8
 """A muscle leaks if its pressure, relative to the model's, is below this share of the other muscle's."""
 _WEAK = 0.6
 """The supply is weak if both pressures are below this share of the model's."""
 _ZERO = 12e3
 """[Pa] A sensor that differs more from the atmosphere while its muscle is vented has a wrong zero."""
-_STILL = 2e3
-"""[Pa] A vented pressure that changes less than this in half a second is at rest."""
+_STILL, _BEFORE_S = 2e3, 0.5
+"""A vented pressure that changes less than this [Pa] in this time [s] is at rest."""
 TURNS = 4.4e-3
 """[rad] A quarter of a degree: a smaller turn does not show its direction."""
 _PLAUSIBLE = 40e3
@@ -98,18 +99,13 @@ def first_fill(rig: Rig, highest: float = np.inf) -> Plan:
         )
     most = min(most, highest)
     high = min(high, 0.5 * (low + most))
-    rest, fill = np.array(steady_voltage(rig, low)), np.array(steady_voltage(rig, high))
-    vent = rig.valves.voltage_min
-    pairs = [
-        (_SETTLE_S, rest), (_HOLD_S, np.array([fill[0], rest[1]])), (_HOLD_S, rest),
-        (_HOLD_S, np.array([rest[0], fill[1]])), (_HOLD_S, rest), (_VENT_S, np.array([vent, vent])),
-    ]  # fmt: skip
-    rows = [np.tile(pair, (round(seconds / rig.sample_period), 1)) for seconds, pair in pairs]
+    rest, fill, vent = steady_voltage(rig, low), steady_voltage(rig, high), rig.valves.voltage_min
+    pairs = (rest, (fill[0], rest[1]), rest, (rest[0], fill[1]), rest, (vent, vent))
+    counts = [round(seconds / rig.sample_period) for seconds in _PHASES_S]
     stop = np.pi / 2.0 if rig.joint.stop is None else rig.joint.stop
     # A vented joint falls to its stop. At this low pressure nothing breaks there.
-    limits = Limits((air, most), stop * 1.1, np.inf, (rig.valves.voltage_min, rig.valves.voltage_max))
-    first, second = float(rest[0]), float(rest[1])
-    return Plan(np.concatenate(rows), rig.sample_period, "free", 0.0, limits, low, (first, second))
+    limits = Limits((air, most), stop * 1.1, np.inf, (vent, rig.valves.voltage_max))
+    return Plan(np.repeat(pairs, counts, axis=0), rig.sample_period, "free", 0.0, limits, low, rest)
 
 
 def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None = None) -> list[WiringFault]:
@@ -120,56 +116,54 @@ def faults(rig: Rig, pressure: Floats, angle: Floats | None, plan: Plan | None =
     """
     if found := dead_sensors(pressure):
         return found
-    ends = _ends()
-    seen = _means(pressure, rig.sample_period, ends)
-    course = _course(rig, plan or first_fill(rig))
-    expected = _means(course[:, 1:], STEP, ends)
-    # Change of each sensor (columns) with each valve (rows), relative to the model's change in the valve's own muscle.
-    rise = np.array([seen[1] - 0.5 * (seen[0] + seen[2]), seen[3] - 0.5 * (seen[2] + seen[4])])
-    wanted = np.array([expected[1, 0] - expected[0, 0], expected[3, 1] - expected[2, 1]])
-    follows = rise / wanted[:, None] > _FOLLOWS
     air = rig.atmosphere.pressure
-    gauge, usual = seen[0] - air, expected[0] - air
-    turned = None
-    if angle is not None:
-        turned = _turns(angle, rig.sample_period, ends), _turns(course[:, 0], STEP, ends)
-    if found := _of_valves(follows, gauge, usual, seen[:5].mean(axis=0) * 1e-3, turned):
+    seen = _pulses(pressure, np.zeros(len(pressure)) if angle is None else angle, rig.sample_period)
+    usual = _usual(rig, plan or first_fill(rig))
+    if found := _of_valves(seen, usual, _FOLLOWS, air):
         return found
-    zeros = _zeros(pressure, rig, ends)
-    full = (np.array([seen[1, 0], seen[3, 1]]) - air) / (np.array([expected[1, 0], expected[3, 1]]) - air)
-    lost = [] if zeros else _lost(full)
+    zeros = _zeros(pressure, rig)
+    full = [(one.level[i] + one.rise[i] - air) / (model.level[i] + model.rise[i] - air)
+            for i, (one, model) in enumerate(zip(seen, usual, strict=True))]  # fmt: skip
+    lost = [] if zeros else _lost(np.array(full))
+    encoder = [] if angle is None else _encoder(seen, usual)
     # A muscle that leaks may not move the joint at all.
-    return [*zeros, *lost, *(fault for fault in _encoder(turned) if not (lost and fault.name == "still"))]
+    return [*zeros, *lost, *(fault for fault in encoder if not (lost and fault.name == "still"))]
+
+
+def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[WiringFault]:
+    """Faults that the recording of :class:`FirstAir` shows, of a guessed rig file; empty if there are none."""
+    if found := dead_sensors(recording.pressure):
+        return found
+    usual = [Pulse(np.full(2, RISE), turned, np.full(2, np.inf)) for turned in (1.0, -1.0)]
+    found = _of_valves(pulses, usual, _PULSE_FOLLOWS, rig.atmosphere.pressure)
+    if not any(pulse.rise[i] > _PULSE_FOLLOWS * RISE for i, pulse in enumerate(pulses)):
+        return found
+    flipped = [_fault("flipped_encoder")] if _sign(pulses, usual) < 0.0 else []
+    return [*found, *_zeros(recording.pressure, rig), *flipped]
 
 
 def turns_visibly(rig: Rig, plan: Plan) -> bool:
     """Whether the experiment turns the joint far enough to show the encoder's sign; the lowest pressures do not."""
-    return bool(np.all(np.abs(_turns(_course(rig, plan)[:, 0], STEP, _ends())) > 2.0 * TURNS))
+    return all(abs(pulse.turned) > 2.0 * TURNS for pulse in _usual(rig, plan))
 
 
-def _ends() -> Floats:
-    """When each phase ends [s]."""
-    return np.cumsum([_SETTLE_S, _HOLD_S, _HOLD_S, _HOLD_S, _HOLD_S, _VENT_S])
-
-
-def _course(rig: Rig, plan: Plan) -> Floats:
-    """Simulated angle [rad] and pressures [Pa] (M, 3), a row an integration step."""
+def _usual(rig: Rig, plan: Plan) -> list[Pulse]:
+    """What the model's joint shows of each valve."""
     work = Information(rig, ())
-    index = (np.arange(round(plan.duration / STEP)) * STEP / plan.period + 1e-6).astype(np.int64)
-    course = work.along(work.start((plan.pressure, plan.pressure), np.array(plan.rest)), plan.voltage[index])
-    return np.column_stack([course.shown[:, ANGLE], course.shown[:, 2:]])
+    voltage = resampled(plan.voltage, plan.period, STEP, plan.duration)
+    shown = work.along(work.start((plan.pressure, plan.pressure), np.array(plan.rest)), voltage).shown
+    return _pulses(shown[:, 2:], shown[:, ANGLE], STEP)
 
 
-def _means(values: Floats, period: float, ends: Floats) -> Floats:
-    """Means at the ends of the phases, (P, C)."""
-    last = [slice(round((end - _END_S) / period), round(end / period)) for end in ends]
-    return np.array([np.nanmean(values[part], axis=0) for part in last])
-
-
-def _turns(angle: Floats, period: float, ends: Floats) -> Floats:
-    """How far the joint turns while valve 1 fills its muscle, and while valve 2 does (2,) [rad]."""
-    there = _means(angle[:, None], period, ends)[:, 0]
-    return np.array([there[1] - there[0], there[3] - there[2]])
+def _pulses(pressure: Floats, angle: Floats, period: float) -> list[Pulse]:
+    """What each valve does in the experiment, by the means at the end of each phase."""
+    ends = np.cumsum(_PHASES_S)
+    parts = [slice(round((end - _END_S) / period), round(end / period)) for end in ends]
+    pressures, angles = ([np.nanmean(values[part], axis=0) for part in parts] for values in (pressure, angle))
+    return [
+        Pulse(pressures[k] - 0.5 * (pressures[k - 1] + pressures[k + 1]), angles[k] - angles[k - 1], pressures[0])
+        for k in (1, 3)
+    ]
 
 
 def dead_sensors(pressure: Floats) -> list[WiringFault]:
@@ -189,55 +183,41 @@ def _dead(i: int, values: Floats) -> list[WiringFault]:
     return []
 
 
-def pulse_faults(rig: Rig, recording: Recording, pulses: Sequence[Pulse]) -> list[WiringFault]:
-    """Faults that the recording of :class:`FirstAir` shows, of a guessed rig file; empty if there are none."""
-    if found := dead_sensors(recording.pressure):
-        return found
-    rise = np.array([pulse.rise for pulse in pulses])
-    follows = rise > 0.5 * RISE
-    turned = np.array([pulse.turned for pulse in pulses])
-    shown = turned, np.array([1.0, -1.0])
-    found = _of_valves(follows, np.zeros(2), np.ones(2), pulses[0].level * 1e-3, shown)
-    if not follows.diagonal().any():
-        return found
-    for i in (0, 1):
-        off = float(np.median(recording.pressure[-max(round(_END_S / rig.sample_period), 1) :, i]))
-        off -= rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure
-        if abs(off) > _ZERO:
-            found.append(_fault("zero", i, off=off / 1e3))
-    return [*found, *(_encoder(shown) if np.all(np.abs(turned) > TURNS) else [])]
+def _of_valves(seen: Sequence[Pulse], usual: Sequence[Pulse], share: float, air: float) -> list[WiringFault]:
+    """Faults that show in which sensor follows which valve.
 
-
-def _of_valves(
-    follows: NDArray[np.bool_], gauge: Floats, usual: Floats, level: Floats, turned: tuple[Floats, Floats] | None
-) -> list[WiringFault]:
-    """Faults that show in which sensor (columns) follows which valve (rows).
-
-    `gauge`: pressures before (2,) [Pa], and what is usual; `level`: absolute ones (2,) [kPa]. `turned`: how far the
-    joint turned with each valve, and the model's joint; None where the angle was not measured.
+    `usual`: what the model's joint shows. A sensor follows a valve if it changes by this share of what is usual, or
+    more. `air`: pressure of the surroundings [Pa].
     """
+    # A row for each valve, a column for each sensor.
+    follows = np.array(
+        [one.rise > share * model.rise[i] for i, (one, model) in enumerate(zip(seen, usual, strict=True))]
+    )
+    level = seen[0].level
+    airless = level - air < 0.5 * (usual[0].level - air)
     if not follows.any():
-        return [_fault("no_supply" if np.all(gauge < 0.5 * usual) else "stuck_valves")]
-    if follows[0, 1] and follows[1, 0] and not follows[0, 0] and not follows[1, 1]:
-        if turned is None or not _shows(turned):
-            return [_fault("crossed")]
-        return [_fault("swapped_sensors" if _sign(turned) > 0 else "swapped_valves")]
-    found = []
-    for i in (0, 1):
-        if not follows[i, i]:
-            airless = gauge[i] < 0.5 * usual[i]
-            found.append(_fault("stuck_valve without air" if airless else "stuck_valve", i, level=level[i]))
-    return found
+        return [_fault("no_supply" if np.all(airless) else "stuck_valves")]
+    if np.array_equal(follows, [[False, True], [True, False]]):
+        sign = _sign(seen, usual)
+        return [_fault("crossed" if not sign else "swapped_sensors" if sign > 0.0 else "swapped_valves")]
+    return [
+        _fault("stuck_valve without air" if airless[i] else "stuck_valve", i, level=level[i] * 1e-3)
+        for i in (0, 1)
+        if not follows[i, i]
+    ]
 
 
-def _zeros(pressure: Floats, rig: Rig, ends: Floats) -> list[WiringFault]:
-    """Sensors with a wrong zero, judged once both muscles are vented and at rest."""
-    vented, before = _means(pressure, rig.sample_period, np.array([ends[-1], ends[-1] - 0.5]))
-    off, still = vented - rig.atmosphere.pressure, np.abs(vented - before) < _STILL
+def _zeros(pressure: Floats, rig: Rig) -> list[WiringFault]:
+    """Sensors with a wrong zero, judged at the end, once both muscles are vented and at rest."""
+    size, before = (max(round(seconds / rig.sample_period), 1) for seconds in (_END_S, _BEFORE_S))
+    vented = np.nanmean(pressure[-size:], axis=0)
+    still = np.abs(vented - np.nanmean(pressure[-size - before : -before], axis=0)) < _STILL
+    off = vented - (rig.command_limits[0] if rig.drive == "regulator" else rig.atmosphere.pressure)
     return [_fault("zero", i, off=off[i] / 1e3) for i in (0, 1) if still[i] and abs(off[i]) > _ZERO]
 
 
 def _lost(full: Floats) -> list[WiringFault]:
+    """Faults of the supply and of fittings, by the pressures that were reached (2,), as shares of the model's."""
     weaker = int(np.argmin(full))
     if np.all(full < _WEAK):
         return [_fault("weak_supply", share=np.max(full))]
@@ -245,20 +225,16 @@ def _lost(full: Floats) -> list[WiringFault]:
     return [_fault("leak", weaker, share=share)] if share < _LOSES else []
 
 
-def _shows(turned: tuple[Floats, Floats]) -> bool:
-    seen, model = turned
-    return bool(np.all(np.abs(seen) > TURNS) and np.all(np.abs(model) > TURNS) and np.isfinite(seen).all())
+def _sign(seen: Sequence[Pulse], usual: Sequence[Pulse]) -> float:
+    """Whether the joint turns as usual: 1, the other way: −1, or too little to say: 0."""
+    turned, model = (np.array([pulse.turned for pulse in pulses]) for pulses in (seen, usual))
+    if not (np.all(np.abs(turned) > TURNS) and np.all(np.abs(model) > TURNS)):
+        return 0.0
+    return float(np.sign(np.sum(turned * model)))
 
 
-def _sign(turned: tuple[Floats, Floats]) -> float:
-    seen, model = turned
-    return float(np.sign(np.sum(seen * model)))
-
-
-def _encoder(turned: tuple[Floats, Floats] | None) -> list[WiringFault]:
-    if turned is None:
-        return []
-    if _shows(turned):
-        return [_fault("flipped_encoder")] if _sign(turned) < 0 else []
-    still = np.all(np.abs(turned[1]) > 2.0 * TURNS) and not np.any(np.abs(turned[0]) > TURNS)
-    return [_fault("still")] if still else []
+def _encoder(seen: Sequence[Pulse], usual: Sequence[Pulse]) -> list[WiringFault]:
+    if sign := _sign(seen, usual):
+        return [_fault("flipped_encoder")] if sign < 0.0 else []
+    moves = all(abs(pulse.turned) > 2.0 * TURNS for pulse in usual)
+    return [_fault("still")] if moves and not any(abs(pulse.turned) > TURNS for pulse in seen) else []

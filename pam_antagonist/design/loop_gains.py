@@ -75,11 +75,10 @@ def loop_gains(rig: Rig, mode: str) -> LoopGains:
     loop = gain * plant * (1.0 + corner / (1j * omega))
     size, phase = np.abs(loop), np.unwrap(np.angle(loop))
     above = np.flatnonzero(size >= 1.0)
-    last = int(above[-1]) if len(above) else None
-    turned = (phase <= -np.pi) & (np.arange(len(omega)) >= (last or 0))
-    largest = float(np.max(size[turned], initial=0.0))
+    last = int(above[-1]) if len(above) else 0
+    largest = float(np.max(size[last:][phase[last:] <= -np.pi], initial=0.0))
     margin = 1.0 / largest if largest > 0.0 else math.inf
-    if last is None:
+    if not len(above):
         return LoopGains(gain, gain * corner, None, margin, None)
     return LoopGains(gain, gain * corner, float(omega[last] / (2.0 * np.pi)), margin, float(np.pi + phase[last]))
 
@@ -111,17 +110,11 @@ def _linear(rig: Rig, mode: str) -> tuple[Floats, Floats, Floats]:
         return out.copy()
 
     units = np.eye(count)
-    a = np.stack(
-        [(rate(x + m * e, rest) - rate(x - m * e, rest)) / (2.0 * m) for m, e in zip(moves, units, strict=True)], axis=1
-    )
+    steps = list(zip(moves, units, strict=True))
+    a = np.stack([(rate(x + m * e, rest) - rate(x - m * e, rest)) / (2.0 * m) for m, e in steps], axis=1)
     push = np.array([_VOLTS, -_VOLTS, 0.0])
     b = (rate(x, rest + push) - rate(x, rest - push)) / (2.0 * _VOLTS)
     if mode == "angle":
         return a, b, units[0]
-    c = [
-        (dynamics.torque(x + m * e, p) - dynamics.torque(x - m * e, p)) / (2.0 * m)
-        for m, e in zip(moves, units, strict=True)
-    ]
-    if mode == "torque":
-        a, b, c = a[2:, 2:], b[2:], c[2:]
-    return a, b, np.array(c)
+    c = np.array([(dynamics.torque(x + m * e, p) - dynamics.torque(x - m * e, p)) / (2.0 * m) for m, e in steps])
+    return a[2:, 2:], b[2:], c[2:]

@@ -25,7 +25,7 @@ from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, better, leaves_more, search
 from pam_antagonist.diagnosis.models import Model, held_share, likelier, price, recalibrated, share_of_all
 from pam_antagonist.diagnosis.pipeline import change_in_words
-from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Judged, Size
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect, Judged, RecordingEntry, Residuals, Size
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED
 from pam_antagonist.diagnosis.warnings import estimator_worse
 from pam_antagonist.errors import BadInput
@@ -386,11 +386,20 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
     # One law has one name: a second effect there only imitates what its form leaves.
     named = list({one.name: one for effect in effects for one in _namers(effect, others)[:1]}.values())
     entries = tuple(
-        replace(entry, errors=_from(first.errors, entry.errors), ukf=_from(first.ukf, entry.ukf))
+        replace(
+            entry,
+            errors=_from(first.errors, entry.errors),
+            ukf=_from(first.ukf, entry.ukf),
+            residuals=_residuals(first, entry),
+        )
         for first, entry in zip(before.by_recording, after.by_recording, strict=True)
     )
     errors = _from(before.errors, after.errors)
     assert errors is not None
+    parts_after = {(one.number, one.experiment.trial.name): one for one in after.compared}
+    # In the order of the parts that miss most without laws.
+    without = {(one.number, one.experiment.trial.name): one.before or one for one in before.compared}
+    compared = [replace(parts_after[key], before=one) for key, one in without.items()]
     taken = {one.name for one in (*named, *earlier)}
     ranking = [replace(item, taken=item.taken and item.effect in taken) for item in before.ranking]
     shown = [one.trial.name for one in both[1].experiments]
@@ -406,7 +415,7 @@ def joined(before: Diagnosis, after: Diagnosis, learned: LawSearch, judged: Mode
         share=share, parts=tuple(parts),
         ranking=(*ranking, *after.ranking), rig_recalibrated=before.rig_recalibrated,
         warnings=(*(notes if in_part else ()), *after.warnings, *estimator_worse(entries)),
-        recalibrated=before.recalibrated,
+        recalibrated=before.recalibrated, compared=tuple(compared),
         of_one_rig={**before.of_one_rig, "extended": after.of_one_rig["extended"]},
     )  # fmt: skip
 
@@ -416,6 +425,13 @@ def _from(before: ModelErrors | None, after: ModelErrors | None) -> ModelErrors 
     if before is None or after is None:
         return after
     return replace(after, as_configured=before.as_configured, recalibrated=before.recalibrated)
+
+
+def _residuals(before: RecordingEntry, after: RecordingEntry) -> Residuals | None:
+    """What the models leave of a recording: recalibrated without a law, extended with it."""
+    if before.residuals is None or after.residuals is None:
+        return after.residuals
+    return {**before.residuals, "extended": after.residuals["extended"]}
 
 
 def _namers(law: FoundEffect, others: Sequence[FoundEffect]) -> list[FoundEffect]:

@@ -23,7 +23,7 @@ from pam_antagonist.identification.from_pressures import parts_of
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.fit import Fit
-from pam_antagonist.inference.free_parameters import Candidate
+from pam_antagonist.inference.free_parameters import Candidate, off_stop
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.trial import ANGLE, BLOCK_S, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE, Trial
@@ -255,7 +255,7 @@ def _experiment(part: Part, rig: Rig, start: Fit, runs: Sequence[Run], settings:
     period = float(np.median([run.period for run in runs]))
     block = max(1, round(BLOCK_S / period))
     cut = tuple(run.first(len(run) // block * block) for run in runs if len(run) >= block)
-    stop = joint_stage.off_stop(rig)
+    stop = off_stop(rig)
     columns = [
         np.column_stack([
             np.full(len(r), np.nan) if r.locked else r.angle, joint_stage.muscle_torque(r, stop), r.pressure

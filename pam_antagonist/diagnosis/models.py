@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from pam_antagonist.diagnosis import thresholds
 from pam_antagonist.inference.calibration import is_calibration
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, refit, relinearised
+from pam_antagonist.inference.gauss_newton import Fitted, cost_of, effect_jacobian, held_residual, refit
 from pam_antagonist.inference.likelihood import Scale
 from pam_antagonist.inference.point import Point
+from pam_antagonist.inference.standard_errors import settled
 from pam_antagonist.inference.starts import best_of_starts
 
 Floats = NDArray[np.float64]
@@ -193,6 +194,9 @@ def explains_in_part(base: Model, model: Model) -> bool:
 def recalibrated(experiments: Sequence[Experiment], known: Model | None = None) -> Model:
     """The base parameters of every recording at their most probable values.
 
+    The fits are continued until they have converged: all that a base could still gain, each candidate beside it would
+    gain as well, and it would pass for evidence.
+
     `known`: model of the recordings whose calibrations are fitted as well.
     """
 
@@ -200,7 +204,7 @@ def recalibrated(experiments: Sequence[Experiment], known: Model | None = None) 
         effects = {} if like is None else like.point.effects
         point = Point(experiment.origin.theta, {path: value for path, value in effects.items() if is_calibration(path)})
         free = () if like is None else tuple(free for free in like.free if is_calibration(free.path))
-        return relinearised(experiment, best_of_starts(experiment, refit(experiment, point, free)))
+        return settled(experiment, best_of_starts(experiment, refit(experiment, point, free)))
 
     fits = known.fits if known is not None else [None] * len(experiments)
     jobs = Model(tuple(experiments)).jobs

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -28,8 +29,8 @@ from pam_antagonist.identification.sealed import (
 )
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven, sweeps
 from pam_antagonist.inference.experiment import Experiment
-from pam_antagonist.inference.free_parameters import moved
-from pam_antagonist.inference.trial import TORQUE, Trial, check, make_trial
+from pam_antagonist.inference.free_parameters import moved, shows_stop
+from pam_antagonist.inference.trial import ANGLE, TORQUE, Trial, check, make_trial
 from pam_antagonist.inference.valve_driven import ValveDriven
 from pam_antagonist.model.effects import random_part
 from pam_antagonist.recording import Recording, bag_name, seen_in_words
@@ -234,16 +235,17 @@ def valve_driven_experiments(
 
     `share`: of each recording that is held out where no whole one is.
     """
+    free = (trial for trial in trials if trial.joint == "free" and trial.has(ANGLE))
+    at_stop = any(shows_stop(rig, trial.measured[:, ANGLE]) for trial in free)
+    experiment = partial(ValveDriven, rig, seed=seed, jobs=jobs, at_stop=at_stop)
     if not others:
-        return tuple(ValveDriven(rig, trial, cut(trial, share), seed=seed, jobs=jobs) for trial in trials), ()
-    held = tuple(
-        ValveDriven(rig, trial, round(START / trial.block_s) * trial.block, seed=seed, jobs=jobs) for trial in others
-    )
+        return tuple(experiment(trial, cut(trial, share)) for trial in trials), ()
+    held = tuple(experiment(trial, round(START / trial.block_s) * trial.block) for trial in others)
     common = {trial.joint for trial in trials} & {trial.joint for trial in others}
     return tuple(
-        ValveDriven(
-            rig, trial, trial.whole_blocks(len(trial)),
-            tuple(other for other in held if not common or other.trial.joint == trial.joint), seed, jobs,
+        experiment(
+            trial, trial.whole_blocks(len(trial)),
+            tuple(other for other in held if not common or other.trial.joint == trial.joint),
         )
         for trial in trials
     ), held  # fmt: skip

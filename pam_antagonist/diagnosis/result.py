@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
@@ -25,6 +26,8 @@ from pam_antagonist.shown import Shown
 if TYPE_CHECKING:
     from pam_antagonist.diagnosis.rig_choice import RigChoice
     from pam_antagonist.identification.result import HeldRecording
+
+Floats = NDArray[np.float64]
 
 MODELS = ("as_configured", "recalibrated", "extended")
 _STAMPED = ("late", "early")
@@ -191,6 +194,12 @@ class HeldOutComparison(Shown):
     points: Mapping[str, Point]  # of the three models on it, by name (``MODELS``)
     role: str  # ``fitted`` to its end, ``held out`` as a whole, or ``both``: its end was held out
     number: int  # of the recording, in the order in which they were given
+    before: HeldOutComparison | None = None  # the same without laws that were learned; None: there are none
+
+    def residual(self, model: str) -> Floats:
+        """What a model leaves of the whole recording (B, C). `model`: one of ``MODELS``, extended with laws."""
+        own = self if self.before is None or model == MODELS[-1] else self.before
+        return own.experiment.residual(own.points[model], whole=True)
 
     @property
     def judges(self) -> bool:

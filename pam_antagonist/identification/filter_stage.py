@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pam_antagonist.estimation.metrics import correlation_length
-from pam_antagonist.identification.joint_stage import force_gains, off_stop, torque_scale
+from pam_antagonist.identification.joint_stage import force_gains, torque_scale
 from pam_antagonist.identification.runs import runs_of
+from pam_antagonist.inference.free_parameters import off_stop
 from pam_antagonist.model import equilibrium
 from pam_antagonist.recording import Recording
 from pam_antagonist.recording.joint import JointCondition

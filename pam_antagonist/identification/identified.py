@@ -48,6 +48,7 @@ _CERTAIN = 2.0
 _WHAT_SHOWS = (
     ("joint.inertia", "a free joint that is made to move fast: large voltage steps in opposite directions"),
     ("joint.viscous_friction", "a free joint that moves fast for long: alternate the valves' extremes every 0.3 s"),
+    ("joint.stop", "a free joint that is driven against its stops"),
     ("friction", "a free joint with a measured angle that comes to rest at many angles and pressures"),
     (".force.", "a free joint over its whole angle range, at low and at high pressures, with torque or angle measured"),
     ("limb:", "a free joint over its whole angle range, at low and at high pressures"),

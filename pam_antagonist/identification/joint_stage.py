@@ -20,6 +20,7 @@ from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.fit import Fit, Residual, Values, deviations, fitted, refined, within_bounds
 from pam_antagonist.inference.fit_errors import Rows, with_errors
+from pam_antagonist.inference.free_parameters import STOP, off_stop, shows_stop, stop_std
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.model import dynamics
@@ -30,6 +31,7 @@ from pam_antagonist.model.equilibrium import initial_state, rest_angle
 from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.recording.rows import curve
 from pam_antagonist.rig import Rig
+from pam_antagonist.rig.schema import limits
 
 Floats = NDArray[np.float64]
 _torque, _imbalance, _STATES = dynamics.torque, dynamics.imbalance, par.STATES
@@ -205,6 +207,13 @@ def encoder(zero: tuple[float, float]) -> list[Unknown]:
     return [Unknown(ZERO, (), *zero), Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1)]
 
 
+def stop(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
+    """The angle of the stops, where a free joint comes near one."""
+    if not any(run.moves and shows_stop(rig, run.angle) for run in runs):
+        return []
+    return [Unknown(STOP, (STOP,), rig.value(STOP), stop_std(rig), True, high=limits(STOP)[1])]
+
+
 def torque_scale(rig: Rig) -> float:
     """Torque [N m] of one muscle at half the supply's pressure and the middle length."""
     return abs(float(_torque(*_at_rest(rig, rig.atmosphere.pressure))))
@@ -302,14 +311,6 @@ def by_the_model(run: Run, p: Floats) -> Run:
     rest = np.array([rest_angle(run.pressure[0, 0], run.pressure[0, 1], p)])
     angle = along.driven(along.settled(rest, run.pressure[:1], p), p)[0][:, 0].copy()
     return replace(run, angle=angle, velocity=np.gradient(angle, run.time))
-
-
-def off_stop(rig: Rig, margin: float = _EYE_STD) -> float:
-    """Angle [rad] within which a joint does not lean on its stops; a reading may be off, since they are set by eye.
-
-    `margin`: [rad].
-    """
-    return math.inf if rig.joint.stop is None else rig.joint.stop - margin
 
 
 def muscle_torque(run: Run, stop: float) -> Floats:

@@ -18,7 +18,7 @@ from pam_antagonist.rig import Rig
 
 _SHARES: Mapping[str, float] = MappingProxyType({
     "friction.": 0.3, "effects.friction": 0.3, "joint.viscous_friction": 0.05, "effects.leak.": 0.5, "effects.": 0.2,
-    "muscle_1.force.c6": 0.0003, "muscle_2.force.c6": 0.0003, "muscle_": 0.003, "geometry.": 0.001,
+    "muscle_1.force.c6": 0.0003, "muscle_2.force.c6": 0.0003, "muscle_": 0.003, "geometry.": 0.001, "joint.stop": 0.001,
     "joint.inertia": 0.01, "limb": 0.01, "gas.": 0.03, "valve_": 0.03, "supply.pressure": 0.02, "": 0.05,
 })  # fmt: skip
 """Standard deviation of a walk, as a share of the value, by the beginning of the number's name; the first that fits."""

@@ -13,6 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.expected import expected_sizes
 from pam_antagonist.inference.unknown import Unknown, change_of, of_effect
@@ -22,6 +25,8 @@ from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import is_positive
 from pam_antagonist.rig.schema import limits
+
+Floats = NDArray[np.float64]
 
 RELATIVE_PRIOR = 0.05
 """Standard deviation before identification of a parameter for which the rig file gives none."""
@@ -40,6 +45,11 @@ _FLOW = (
     "valve_1.inflow_area", "valve_1.outflow_area", "valve_2.inflow_area", "valve_2.outflow_area",
     "gas.polytropic_flow", "gas.polytropic_volume", "supply.pressure",
 )  # fmt: skip
+STOP = "joint.stop"
+_STOP_STD = math.radians(1.5)
+"""[rad] How well a protractor shows the angle of a stop."""
+_NEAR_STOP = math.radians(3.0)
+"""[rad] So near its stops a joint may lean on them: an encoder is set to the middle between them by eye."""
 _MOTION = ("joint.inertia", "joint.viscous_friction")
 """Coefficients of the paper's force map F = v(l) P + w(l)."""
 _FRICTION = {
@@ -138,8 +148,24 @@ def _bounds(name: str, start: float) -> tuple[float, float]:
     return start - 5.0 * abs(start), start + 5.0 * abs(start)
 
 
-def base_directions(rig: Rig) -> tuple[Unknown, ...]:
-    """The directions of a rig.
+def stop_std(rig: Rig) -> float:
+    """Relative standard deviation of the angle of a rig's stops before a recording shows it."""
+    assert rig.joint.stop is not None
+    return rig.priors.get(STOP, _STOP_STD) / rig.joint.stop
+
+
+def off_stop(rig: Rig, margin: float = _NEAR_STOP) -> float:
+    """Angle [rad] within which a joint does not lean on its stops. `margin`: [rad]."""
+    return math.inf if rig.joint.stop is None else rig.joint.stop - margin
+
+
+def shows_stop(rig: Rig, angle: Floats) -> bool:
+    """Whether angles of a free joint (N,) [rad], NaN where missing, come near its stops."""
+    return bool((np.abs(angle) >= off_stop(rig)).any())
+
+
+def base_directions(rig: Rig, at_stop: bool = False) -> tuple[Unknown, ...]:
+    """The directions of a rig; with the angle of its stops where a recording shows it (`at_stop`).
 
     Parameters that cannot be measured directly (Proposition 1 of Shin et al. 2022) are free. The linear force map
     F = v(l) P + w(l) is moved by its values at the middle length and its slopes, since its terms nearly
@@ -164,6 +190,8 @@ def base_directions(rig: Rig) -> tuple[Unknown, ...]:
         ]
     for path in (*_MOTION, *_FRICTION[rig.model.friction]):
         found.append(_single(rig, path, free_only=True))
+    if at_stop:
+        found.append(replace(change_of(STOP, {STOP: rig.value(STOP)}, stop_std(rig)), free_only=True))
     return tuple(direction for direction in found if any(direction.adds.values()))
 
 

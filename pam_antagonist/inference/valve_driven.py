@@ -66,10 +66,12 @@ TITLES = (
 class ValveDriven(Experiment):
     """A recording of a joint that its valves drive."""
 
+    at_stop: bool = False  # whether it, or another one that is explained with it, shows the angle of the stops
+
     @cached_property
     @override
     def directions(self) -> tuple[Unknown, ...]:
-        return base_directions(self.rig)
+        return base_directions(self.rig, self.at_stop)
 
     @cached_property
     @override

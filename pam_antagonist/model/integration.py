@@ -20,7 +20,7 @@ STAGES = 4
 
 # numba compiles calls of plain names, not of attributes that it would have to look up again.
 _open_rate, _external_torque = flow.open_rate, dynamics.external_torque
-_slopes, _rows = dynamics.slopes, dynamics.rows
+_slopes, _rows, _reading, _torque = dynamics.slopes, dynamics.rows, dynamics.reading, dynamics.torque
 
 
 @inlined
@@ -123,6 +123,19 @@ def rk4_step(x, u, p, dt, result, effects=True):
         _scalar_step(x, u, p, dt, result, None)
     else:
         rk4_step_within(x, u, p, dt, result, np.empty((STAGES + 1, x.shape[0])))
+
+
+@in_place
+def sample(x, u, p, dt, steps, scratch, shown):
+    """Advance a simulated joint by several steps, and read what its sensors show of it without their noise.
+
+    `x`: state (n,), changed in place. `u`: as of :func:`rk4_step`. `scratch`: (STAGES + 1, n). `shown`: both pressures
+    [Pa] and the torque [N m] (3,), written.
+    """
+    for _ in range(steps):
+        rk4_step_within(x, u, p, dt, x, scratch)
+    shown[0], shown[1] = _reading(FIRST, x[PRESSURE_1], p), _reading(SECOND, x[PRESSURE_2], p)
+    shown[2] = _torque(x, p)
 
 
 def substeps_of(period: float, longest: float = LONGEST_STEP) -> int:

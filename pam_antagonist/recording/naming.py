@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BadInput
+from ..shown import few
 from .cdr import Decoded, stores_of
 from .notes import Issue
 from .raw import RawBag, RawTopic
@@ -17,8 +18,6 @@ Floats = NDArray[np.float64]
 
 READ_TOPICS = tuple(name for name in TOPICS if name not in ("diagnostics", "rig", "external_torque"))
 """Logical names of the topics that a recording is made from."""
-
-_LISTED = 12  # topics named in an error message
 
 
 class SeveralJoints(BadInput):
@@ -162,8 +161,7 @@ def _list(bag: RawBag) -> str:
     if not bag.topics:
         return "no topics are in it"
     names = [f"{name} ({raw.msgtype})" for name, raw in sorted(bag.topics.items())]
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return f"the topics in it are {', '.join(names[:_LISTED])}{more}"
+    return f"the topics in it are {few(names)}"
 
 
 def values_of_joint(

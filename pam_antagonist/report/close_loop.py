@@ -11,7 +11,7 @@ from typing_extensions import override
 from pam_antagonist.diagnosis import FoundEffect, thresholds
 from pam_antagonist.diagnosis.closed_loop import ClosedLoop
 from pam_antagonist.diagnosis.errors import ModelErrors
-from pam_antagonist.diagnosis.residual_statistics import Relation
+from pam_antagonist.diagnosis.residual_statistics import Relation, ResidualRow
 from pam_antagonist.diagnosis.result import MODELS, Residuals
 from pam_antagonist.diagnosis.verdicts import TITLES, Verdict
 from pam_antagonist.model.effects import CATALOGUE
@@ -299,7 +299,9 @@ def _change(
 def _statistics(recording: str, shown: Residuals, models: Sequence[str]) -> Table:
     rows: list[tuple[str, ...]] = []
     last, kind = models[-1], ""
-    for k, row in enumerate(shown[last]):
+    # The models of two diagnoses may have them in another order.
+    found = {(model, row.kind, row.channel): row for model in models for row in shown[model]}
+    for row in shown[last]:
         if row.kind != kind:
             kind = row.kind
             rows.append((_KINDS[kind], *[""] * (len(models) + 4)))
@@ -307,7 +309,7 @@ def _statistics(recording: str, shown: Residuals, models: Sequence[str]) -> Tabl
         rows.append(
             (
                 f"  {row.title}, RMS {number(row.rms, 2)} {row.unit}",
-                *(number(shown[model][k].rms / shown[model][k].noise, 2) for model in models),
+                *(_times_noise(found.get((model, row.kind, row.channel))) for model in models),
                 percent(row.above_noise),
                 number(row.memory_s, 2),
                 MISSING if p is None or not math.isfinite(p) else "< 0.001" if p < 1e-3 else f"{p:.3f}",
@@ -323,6 +325,10 @@ def _statistics(recording: str, shown: Residuals, models: Sequence[str]) -> Tabl
         "the largest one that chance gives in nineteen of twenty times."
     )
     return Table(header, tuple(rows), caption)
+
+
+def _times_noise(row: ResidualRow | None) -> str:
+    return MISSING if row is None else number(row.rms / row.noise, 2)
 
 
 def _strongest(relations: Mapping[str, Relation]) -> str:

@@ -132,14 +132,14 @@ def assumed(result: ClosedLoop) -> tuple[tuple[str, str], ...]:
 
 def residuals(result: ClosedLoop) -> tuple[Figure, ...]:
     """Residual of every channel of every recording, recalibrated and extended."""
-    shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if result.extended.effects else [])]
+    shown = [("recalibrated", MODEL), *([("extended", ESTIMATE)] if result.effects else [])]
     return tuple(_residual(part, shown) for part in result.compared)
 
 
 def _residual(part: HeldOutComparison, shown: Sequence[tuple[str, str]]) -> Figure:
     experiment, trial = part.experiment, part.experiment.trial
     count, edges = len(experiment.measured), experiment.edges(part.points["extended"])
-    models = [(name, experiment.residual(part.points[name], whole=True)[:count], color) for name, color in shown]
+    models = [(name, part.residual(name)[:count], color) for name, color in shown]
     x = (np.arange(len(models[0][1]), dtype=np.float64) + 0.5) * trial.block_s
     held = {"fitted": (), "held out": (Span(0.0, float(x[-1])),)}.get(part.role, experiment.held_parts)
     panels = []

@@ -145,11 +145,6 @@ class Facts:
         reach = self.radius * (math.sin(bound) if self.kind == "lever" else bound)
         return self.length - reach, self.length + reach
 
-    def contractions(self) -> tuple[float, float]:
-        """Least and largest contraction of a muscle within the joint's range [-]."""
-        shortest, longest = self.travel()
-        return 1.0 - longest / self.nominal_length, 1.0 - shortest / self.nominal_length
-
 
 def starting_point(facts: Facts) -> Rig:
     """A rig from the facts, with assumed values and wide priors for the rest."""
@@ -162,18 +157,18 @@ def starting_point(facts: Facts) -> Rig:
 
 
 def _starting_point(facts: Facts) -> Rig:
-    least, largest = facts.contractions()
+    shortest, longest = facts.travel()
+    least, largest = 1.0 - longest / facts.nominal_length, 1.0 - shortest / facts.nominal_length
+    where = (
+        f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at the "
+        "end of its travel a muscle would be"
+    )
     if least < -_MOST_STRETCH:
+        raise Contradiction(f"{where} stretched by {-least:.0%}; expected {_MOST_STRETCH:.0%} at most", _LENGTHS)
+    if (left := _force(facts, shortest, facts.supply)) <= 0.0:
         raise Contradiction(
-            f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
-            f"the end of its travel a muscle would be stretched by {-least:.0%}; expected {_MOST_STRETCH:.0%} at most",
-            _LENGTHS,
-        )
-    if (left := _force(facts, facts.travel()[0], facts.supply)) <= 0.0:
-        raise Contradiction(
-            f"muscle length {facts.length * 1e3:g} mm at angle 0, nominal length {facts.nominal_length * 1e3:g} mm: at "
-            f"the end of travel a muscle would be contracted by {largest:.0%}: there {facts.muscle_name} pulls with "
-            f"{left:.0f} N at the supply's pressure; expected more than 0: less radius or stop, or more length",
+            f"{where} contracted by {largest:.0%}: there {facts.muscle_name} pulls with {left:.0f} N at the supply's "
+            "pressure; expected more than 0: less radius or stop, or more length",
             (*_LENGTHS, *_MUSCLE, "supply"),
         )
     content = _rounded(_content(facts))
@@ -192,24 +187,18 @@ def _starting_point(facts: Facts) -> Rig:
         priors["effects.limb_weight.torque"] = _unknown_torque(facts)
     shift = _CURVE_PRIOR * (facts.voltage[1] - facts.voltage[0])
     priors |= {f"effects.valve_offset.voltage_{i}": shift for i in (1, 2)}
-    bounds = {}
-    if facts.valve.closed_centre:
-        priors |= {f"valve_{i}.overlap": _OVERLAP_PRIOR for i in (1, 2)}
-        bounds = {f"valve_{i}.overlap": _OVERLAP_BOUNDS for i in (1, 2)}
-    rig = rig.replaced(priors=priors, bounds=bounds)
-    rig = _with_regulators(rig, facts)
+    overlaps = [f"valve_{i}.overlap" for i in (1, 2) if facts.valve.closed_centre]
+    priors |= dict.fromkeys(overlaps, _OVERLAP_PRIOR)
+    rig = rig.replaced(priors=priors, bounds=dict.fromkeys(overlaps, _OVERLAP_BOUNDS))
+    rig = rig if facts.regulator is None else _with_regulators(rig, facts, facts.regulator)
     rig = rig.replaced(priors=_rounded(rig.priors))
-    complaint = unphysical(rig)
-    if complaint:
+    if complaint := unphysical(rig):
         raise BadInput(complaint)
     return rig
 
 
-def _with_regulators(rig: Rig, facts: Facts) -> Rig:
-    """The rig with pressure regulators in place of the valves, if the facts have regulators."""
-    if facts.regulator is None:
-        return rig
-    part = facts.regulator
+def _with_regulators(rig: Rig, facts: Facts, part: RegulatorPart) -> Rig:
+    """The rig with pressure regulators in place of the valves."""
     # A step of second order rises from 10 to 90 % within (1 + 1.1 ζ + 1.4 ζ²)/ω, about.
     frequency = (1.0 + 1.1 * _DAMPING + 1.4 * _DAMPING**2) / facts.regulator_time
     lag = {"frequency_1": frequency, "frequency_2": frequency, "damping": _DAMPING}
@@ -217,17 +206,10 @@ def _with_regulators(rig: Rig, facts: Facts) -> Rig:
     effects = {"regulator_lag": lag, "regulator_limits": limits}
     if part.hysteresis:
         effects["regulator_threshold"] = {"threshold_1": part.hysteresis, "threshold_2": part.hysteresis}
-    names = {name: f"effects.regulator_lag.{name}" for name in lag}
     flow = ("valve_", "gas.polytropic_flow", "effects.valve_offset.")
-    return rig.replaced(
-        drive="regulator",
-        effects={**rig.effects, **_rounded(effects)},
-        bounds={},
-        priors={
-            **{name: std for name, std in rig.priors.items() if not name.startswith(flow)},
-            **{path: 0.5 * lag[name] for name, path in names.items()},
-        },
-    )
+    priors = {name: std for name, std in rig.priors.items() if not name.startswith(flow)}
+    priors |= {f"effects.regulator_lag.{name}": 0.5 * value for name, value in lag.items()}
+    return rig.replaced(drive="regulator", effects={**rig.effects, **_rounded(effects)}, bounds={}, priors=priors)
 
 
 def _rounded(value: Any) -> Any:

@@ -14,6 +14,7 @@ from pam_antagonist.model.effects.base import SIGNALS
 from pam_antagonist.model.force_forms import FORMS
 from pam_antagonist.rig import learned
 from pam_antagonist.rig.schema import Rig, limits
+from pam_antagonist.shown import few
 from pam_antagonist.strict_yaml import unknown
 
 _LEAST_EXPONENT = 0.2
@@ -150,7 +151,7 @@ def _bad_effects(rig: Rig) -> Iterator[str]:
         known = {item.name: item for item in CATALOGUE[name].parameters}
         for key, value in values.items():
             if key not in known:
-                yield f"effects.{name}: {unknown(key, known)}; expected one of {', '.join(known)}"
+                yield f"effects.{name}: {unknown(key, known)}; expected one of {few(list(known))}"
             item = known[key]
             if not item.low <= value <= item.high:
                 yield (

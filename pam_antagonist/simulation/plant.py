@@ -10,7 +10,7 @@ import numpy as np
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.further import FurtherInputs
-from pam_antagonist.model import dynamics, equilibrium, integration
+from pam_antagonist.model import equilibrium, integration
 from pam_antagonist.model import parameters as par
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.physical import rest_pressure
@@ -124,6 +124,8 @@ class Plant:
         self._u = np.zeros(3)
         self._x = equilibrium.initial_state(angle, *initial_pressure, self._u, p)
         self._begun = False
+        self._scratch = np.empty((integration.STAGES + 1, len(self._x)))
+        self._shown = np.empty(3)  # pressures [Pa] and torque [N m], without noise
 
     @property
     def parameters(self) -> np.ndarray:
@@ -172,23 +174,22 @@ class Plant:
         self._take(signals)
         self._u[:2] = voltage
         self._u[2] = external_torque
-        if not np.all(np.isfinite(self._u)):
+        if not math.isfinite(self._u[0] + self._u[1] + self._u[2]):
             raise BadInput(f"plant: valve voltages and torque {tuple(self._u)}, expected finite ones")
         if not self._begun:
             # The plant starts as if its valves had had the first voltage for a long time.
             self._x = equilibrium.initial_state(self._x[0], self._x[2], self._x[3], self._u, self._p)
             self._begun = True
-        for _ in range(self._substeps):
-            integration.rk4_step(self._x, self._u, self._p, self._dt, self._x)
+        integration.sample(self._x, self._u, self._p, self._dt, self._substeps, self._scratch, self._shown)
         sensors, rng = self._sensors, self._rng
-        readings = [dynamics.reading(i, self._x[2 + i], self._p) for i in (0, 1)]
+        *pressures, torque = self._shown.tolist()
         return PlantSample(
             pressure=np.array(
-                [self._measured(shown, sensors.pressure_std, sensors.pressure_step, rng) for shown in readings]
+                [self._measured(value, sensors.pressure_std, sensors.pressure_step, rng) for value in pressures]
             ),
             voltage=self._u[:2].copy(),
-            angle=self._measured(self._x[0], sensors.angle_std, sensors.angle_step, rng),
-            torque=self._measured(dynamics.torque(self._x, self._p), sensors.torque_std, sensors.torque_step, rng),
+            angle=self._measured(float(self._x[0]), sensors.angle_std, sensors.angle_step, rng),
+            torque=self._measured(torque, sensors.torque_std, sensors.torque_step, rng),
             encoder=self._encoded(),
             truth=self._x.copy(),
         )

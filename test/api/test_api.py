@@ -169,7 +169,7 @@ def test_answers_of_a_new_rig_are_judged() -> None:
         ({"radios": "3mm"}, "radios: no such answer"),
         ({"radius": "36.5"}, "radius '36.5': expected a number and its unit"),
         ({"radius": "36.5mm", "muscle": "DMSP-10", "muscle_force": "9N"}, "muscle_force: only with muscle own"),
-        ({}, "radius: missing"),
+        ({}, r"missing: radius \(from the axis.*, muscle \("),
     ):
         with pytest.raises(BadInput, match=said):
             new_rig(**answers)

@@ -101,11 +101,22 @@ def test_each_step_goes_on_after_ctrl_c(stopped, tmp_path, capsys):
     # The last step is stopped twice: in its recording, and in its diagnosis, which needs the recording anew.
     assert stopped.calls == {**dict.fromkeys(kinds, 2), "apart": 3}
     steps = json.loads((out / "state.json").read_text())["steps"]
-    assert list(steps) == list(commission_steps.STEPS) and all(step["done"] for step in steps.values())
+    assert list(steps) == list(commission_steps.Commission.STEPS) and all(step["done"] for step in steps.values())
     assert steps["wiring"]["rig_s"] == pytest.approx(19.0) and steps["free"]["bag"] == "free_2/bag"
     assert "leak" in load_rig(str(out / "rig.yaml")).effects
     gains = yaml.safe_load((out / "parameters.yaml").read_text())["/**/controller"]["ros__parameters"]
     assert 5.0 < gains["bias"] < 5.6 and gains["angle_proportional"] > 1.0
+
+
+def test_a_person_is_asked_before_each_step_that_needs_one(stopped, monkeypatch, tmp_path):
+    asked: list[str] = []
+    monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt.removesuffix(" [Enter] ")))
+    stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "identified", "found", "apart", "found_again"), 1))
+    words = ["--rig", "shin2022", "--out", str(tmp_path / "new"), "--source", "rehearsal"]
+    assert commission.main(words) == 0
+    first, *others = asked
+    assert first == "Joint free, nothing in its way, supply on; keep away from it:"
+    assert others == ["Joint free:", "Lock the joint at 0 degrees:", "Take the lock away:", "Joint free:"]
 
 
 def test_recordings_that_no_model_fits_are_left_to_close_loop(stopped, monkeypatch, tmp_path, capsys):
@@ -148,7 +159,7 @@ def test_where_no_motion_decides_the_joint_is_not_driven_and_the_sensor_is_named
 
     stopped.calls.update(dict.fromkeys(("wiring", "free", "locked", "identified", "found"), 1))
     monkeypatch.setattr(commission_steps, "told_apart", told_apart)
-    monkeypatch.setattr(commission_steps, "instead_of", lambda *given: instead)
+    monkeypatch.setattr("pam_antagonist.design.apart.instead_of", lambda *given: instead)
     out = tmp_path / "new"
     assert commissioned(out) == 0
     (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("apart: ")]

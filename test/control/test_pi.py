@@ -69,6 +69,7 @@ def test_saturation_is_left_in_the_sample_in_which_the_error_changes_sign(sign):
         command = controller.step(Mode.TORQUE, sign * 2.0, 0.0)
     assert command.status is Status.SATURATED
     assert command.voltage == ((10.0, 0.0) if sign > 0 else (0.0, 10.0))
+    assert abs(controller.integral) < 0.01, "a valve at its limit could not follow it"
     command = controller.step(Mode.TORQUE, sign * 2.0, sign * 2.05)
     assert command.status is Status.TRACKING
     assert abs(command.voltage[0] - 5.5) < controller.span(Mode.TORQUE)

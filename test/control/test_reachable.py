@@ -119,28 +119,10 @@ def test_pressures_are_found_again_from_their_torque_and_stiffness(slack):
             assert x[2:4] == pytest.approx(pressures, abs=5.0)
 
 
-def test_a_stiffness_out_of_reach_becomes_the_nearer_end_and_the_torque_stays():
-    p = parameters()
-    for stiffness, end in ((0.5, 0), (50.0, 1)):
-        x = state(0.1)
-        ends = set_pressures(0.3, stiffness, WIDE, x, p)
-        assert -dynamics.torque_slope(x, p) == pytest.approx(ends[end], abs=1e-6)
-        assert dynamics.torque(x, p) == pytest.approx(0.3, abs=1e-6)
-
-
 def test_a_free_stiffness_is_the_middle_of_what_the_torque_leaves():
     p, x = parameters(), state(-0.1)
     softest, stiffest, _ = set_pressures(0.0, math.nan, WIDE, x, p)
     assert -dynamics.torque_slope(x, p) == pytest.approx(0.5 * (softest + stiffest))
-
-
-def test_a_torque_out_of_reach_becomes_the_nearest_corner():
-    p = parameters()
-    for torque, corner in ((9.0, (690e3, 200e3)), (-9.0, (200e3, 690e3))):
-        x = state(0.0)
-        softest, stiffest, missing = set_pressures(torque, 6.0, WIDE, x, p)
-        assert x[2:4] == pytest.approx(corner) and softest == pytest.approx(stiffest)
-        assert missing == pytest.approx(torque - dynamics.torque(x, p))
 
 
 def test_no_muscle_falls_below_the_least_force_nor_a_pressure_below_the_lowest():
@@ -151,11 +133,3 @@ def test_no_muscle_falls_below_the_least_force_nor_a_pressure_below_the_lowest()
             set_pressures(0.0, 0.1, Box(120e3, 690e3, least), x, p)
             assert min(dynamics.forces(x, p)) >= least - 1e-3
             assert min(x[2:4]) >= 120e3
-
-
-def test_pressures_for_an_angle_of_rest_are_those_at_which_the_joint_rests_there():
-    p = parameters()
-    for angle in (-0.25, 0.0, 0.3):
-        x = state(angle)
-        set_pressures(dynamics.torque(x, p) - equilibrium.pull(x, p), 6.0, WIDE, x, p)
-        assert equilibrium.rest_angle(x[2], x[3], p) == pytest.approx(angle, abs=1e-6)

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from pam_antagonist.cli.commission_guessed import seen
 from pam_antagonist.control.command import Mode, VoltageLimits
 from pam_antagonist.control.laws import Laws, Reachable
-from pam_antagonist.control.model_law import ModelController
+from pam_antagonist.control.model_law import ModelController, Seen
 from pam_antagonist.control.pi import PiController
 from pam_antagonist.control.reference import Wanted
 from pam_antagonist.control.stiffness import Box
@@ -111,7 +110,7 @@ def pushed(rig: Rig, reference: Wanted, push: np.ndarray) -> np.ndarray:
     for k, torque in enumerate(push.tolist()):
         sample = plant.step(voltage, torque)
         row = estimator.step((k + 1) * round(period * 1e9), *sample.pressure, *sample.voltage)
-        estimate = seen(row)._replace(external_torque=torque, external_variance=0.0)
+        estimate = Seen.of(row)._replace(external_torque=torque, external_variance=0.0)
         voltage = laws.step(reference, estimate).voltage
         angle.append(sample.truth[0])
     return np.array(angle)

@@ -118,10 +118,10 @@ def test_a_wide_hysteresis_is_not_called_friction(recorded, joint) -> None:
 RUBBING = Law("friction", (-0.1, 0.0, 0.1), (0.0, 0.1, 0.2), None, "angle")
 
 
-@pytest.mark.thorough(16)
-def test_friction_in_a_form_that_nobody_wrote_is_learned(recorded, joint) -> None:
+@pytest.mark.thorough(50)
+def test_friction_in_a_form_that_nobody_wrote_is_learned(recorded, joint, tmp_path: Path) -> None:
     recording = recorded({"friction": {"coulomb": 0.1}}, seconds=24.0, law=RUBBING)
-    found = with_laws([recording], joint, profiles=False, estimator=False)
+    found = with_laws([recording], joint, profiles=False)
     assert isinstance(found, DiagnoseResult)
     (law,) = (effect.law for effect in found.effects if effect.law is not None)
     assert (law.place, law.argument) == ("friction", "angle")
@@ -132,6 +132,13 @@ def test_friction_in_a_form_that_nobody_wrote_is_learned(recorded, joint) -> Non
     assert after < 0.1 * before
     assert {part.name: part.verdict for part in found.parts} == {"torque": "effect", "pressures": "none"}
     assert laws_of(found.rig_extended)[1].values == law.values
+    # The page compares what both models leave, the filter's innovations included.
+    rows = found.by_recording[0].residuals
+    named = {model: {(row.kind, row.channel) for row in rows[model]} for model in ("recalibrated", "extended")}
+    assert named["recalibrated"] == named["extended"]
+    assert {kind for kind, _ in named["extended"]} >= {"sensor", "innovation"}
+    found.save(tmp_path / "out", figures=False)
+    assert "Statistics of the residuals" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def test_no_law_is_learned_from_a_few_sweeps(recorded, joint) -> None:

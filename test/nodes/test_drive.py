@@ -108,7 +108,7 @@ def test_a_fault_of_the_wiring_is_named_at_once_and_nothing_else_is_begun(tmp_pa
 
 
 def test_steps_that_are_done_are_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    steps = {name: {"done": True, "said": f"{name} was fine"} for name in commission_steps.STEPS}
+    steps = {name: {"done": True, "said": f"{name} was fine"} for name in commission_steps.Commission.STEPS}
     (tmp_path / "state.json").write_text(json.dumps({"rig": "shin2022", "steps": steps}))
     assert commission.main(["--rig", "shin2022", "--out", str(tmp_path), "--unattended"]) == 0
     assert "locked: done before. locked was fine" in capsys.readouterr().out

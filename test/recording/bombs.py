@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import resource
 import sqlite3
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import lz4.frame
 from backports import zstd
+from edits import laughs
 from fake_bags import FLUID
 from mcap_bytes import FOOTER, HEADER, chunk, message, record, text
 
@@ -47,6 +50,18 @@ def assert_refused_in_a_gigabyte(imports: str, reads: str, *words: str, seconds:
     assert "memory" not in said.lower()  # refused, not starved
     assert took < seconds and megabytes < 1000.0
     print(f"{words[0]}: {took:.2f} s, {megabytes:.0f} MB: {said}")
+
+
+@contextmanager
+def little_memory(limit: int = 1 << 30) -> Iterator[None]:
+    """Let nothing allocate more than ``limit`` bytes on top of what the process has."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def mcap(*bodies: bytes) -> bytes:
@@ -99,16 +114,16 @@ def packed_messages(folder: Path) -> Path:
 
 
 def laughing_metadata(folder: Path) -> Path:
-    lines = ["rosbag2_bagfile_information:", "  custom_data:", "    a0: &a0 [ha, ha]"]
-    lines += [f"    a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
-    (folder / "metadata.yaml").write_text("\n".join(lines) + "\n  relative_file_paths: [bag.mcap]\n")
+    custom = "\n    ".join(["  custom_data:", *laughs("[ha, ha]", "[{}]", 12)])
+    (folder / "metadata.yaml").write_text(
+        f"rosbag2_bagfile_information:\n{custom}\n  relative_file_paths: [bag.mcap]\n"
+    )
     (folder / "bag.mcap").write_bytes(mcap())
     return folder
 
 
 def merging_metadata(folder: Path) -> Path:
-    lines = ["a0: &a0 {x: 1}"] + [f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}" for k in range(1, 12)]
-    (folder / "metadata.yaml").write_text("\n".join(lines))
+    (folder / "metadata.yaml").write_text("\n".join(laughs("{x: 1}", "{{<<: [{}]}}", 12)))
     return folder
 
 

@@ -10,90 +10,23 @@ import time
 from pathlib import Path
 
 import pytest
-from bombs import BOMBS, assert_refused_in_a_gigabyte
+from bombs import BOMBS, assert_refused_in_a_gigabyte, little_memory
+from edits import EDIT, VALUES, Edit, edited, examples
 from fake_bags import FakeRig
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap_bytes import records
-from test_bag_damage import little_memory
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.recording import read_bag
 from pam_antagonist.recording.mcap import MAGIC
 from pam_antagonist.recording.notes import read_notes
 
-
-def examples(count: int) -> settings:
-    ignored = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
-    return settings(max_examples=count, derandomize=True, suppress_health_check=ignored)
-
-
-JUNK = [
-    "",
-    "~",
-    "[]",
-    "{}",
-    "1e999",
-    "../../etc/passwd",
-    "[../../../etc/passwd]",
-    "!!python/name:os.system",
-    "'\\0'",
-    "0x" + "f" * 5000,
-    "[" * 900,
-    "&a [*a]",
-    "*b",
-    "2001-13-45",
-    "\x00",
-    "\ud7ff",
-    "'a\nb'",
-    "!!set {a}",
-    "!!timestamp x",
-    "!!binary x",
-    "<<",
-    "{<<: 3}",
-    "=",
-    ".nan",
-    "[~, 1]",
-]
-
+EDITS = st.lists(EDIT, min_size=1, max_size=4)
 MANY = pytest.mark.parametrize("count", [50, pytest.param(1500, marks=pytest.mark.thorough(40))])
 KINDS = [
     ("mcap", "none"), ("mcap", "chunk"), ("mcap", "message"), ("mcap", "file"), ("sqlite3", "none"), ("sqlite3", "file")
 ]  # fmt: skip
-ABSURD = [0, 1, 0x7F, 0xFF, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**62, 2**63 - 1, 2**63, 2**64 - 1]
-
-Edit = tuple[str, int, int]
-EDIT = st.one_of(
-    st.tuples(st.just("cut"), st.integers(0, 10**6), st.just(0)),
-    st.tuples(st.just("byte"), st.integers(0, 10**6), st.integers(0, 255)),
-    st.tuples(st.sampled_from(["u16", "u32", "u64"]), st.integers(0, 10**6), st.sampled_from(ABSURD)),
-    st.tuples(st.sampled_from(["drop", "twice", "zeros"]), st.integers(0, 10**6), st.integers(1, 5000)),
-)
-EDITS = st.lists(EDIT, min_size=1, max_size=4)
-
-
-def edited(data: bytes, edits: list[Edit], places: list[int]) -> bytes:
-    """Data with edits; half of the places are those where something begins."""
-    out = bytearray(data)
-    for kind, where, what in edits:
-        if not out:
-            break
-        at = places[where // 2 % len(places)] + where % 3 * 4 if where % 2 and places else where
-        at %= len(out)
-        if kind == "cut":
-            del out[at:]
-        elif kind == "byte":
-            out[at] = what
-        elif kind in ("u16", "u32", "u64"):
-            width = int(kind[1:]) // 8
-            out[at : at + width] = (what % 2 ** (8 * width)).to_bytes(width, "little")
-        elif kind == "drop":
-            del out[at : at + what]
-        elif kind == "twice":
-            out[at:at] = out[at : at + what]
-        else:
-            out[at : at + what] = bytes(len(out[at : at + what]))
-    return bytes(out)
 
 
 def record_starts(data: bytes) -> list[int]:
@@ -171,7 +104,7 @@ def test_damaged_metadata(whole: dict, tmp_path: Path, count: int) -> None:
             lines = text.decode().splitlines()
             at = data.draw(st.integers(0, len(lines) - 1))
             key = lines[at].partition(":")[0]
-            lines[at] = f"{key}: {data.draw(st.sampled_from(JUNK))}"
+            lines[at] = f"{key}: {data.draw(st.sampled_from(VALUES))}"
             content = "\n".join(lines).encode("utf-8", "replace")
         else:
             content = edited(text, data.draw(EDITS), list(range(0, len(text), 7)))

@@ -52,11 +52,11 @@ def assert_a_beginning(recording, rig: FakeRig, least: int) -> None:
 
 def test_a_split_bag_is_one_recording(tmp_path: Path) -> None:
     rig = FakeRig(5000)
-    with BagWriter(tmp_path / "bag", limits=FileLimits(size=300_000)) as bag:
+    with BagWriter(tmp_path / "bag", limits=FileLimits(size=100_000)) as bag:
         write(bag, rig)
     names = [path.name for path in (tmp_path / "bag").iterdir()]
-    assert 4 < bag.files < 10
-    assert sorted(names) == [*(f"bag_{k}.mcap" for k in range(bag.files)), "metadata.yaml"]
+    assert 11 < bag.files < 30
+    assert set(names) == {*(f"bag_{k}.mcap" for k in range(bag.files)), "metadata.yaml"}
     rig.assert_same(read_bag(tmp_path / "bag"))
     assert read_bag(tmp_path / "bag").issues == ()
     with Reader(tmp_path / "bag") as reader:  # as other readers see it
@@ -69,6 +69,10 @@ def test_a_split_bag_is_one_recording(tmp_path: Path) -> None:
         with Reader(tmp_path / "bag" / f"bag_{k}.mcap") as reader:
             sizes.append(reader.message_count)
     assert sum(sizes) == 5 * rig.size and min(sizes) > 0
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    recording = read_bag(tmp_path / "bag")  # in the order of their numbers
+    rig.assert_same(recording)
+    assert len(recording.issues) == 1
 
 
 def test_files_of_a_duration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,17 +84,6 @@ def test_files_of_a_duration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         write(bag, rig)
     assert 3 <= bag.files <= 5
     rig.assert_same(read_bag(tmp_path / "bag"))
-
-
-def test_files_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
-    rig = FakeRig(1200)
-    with BagWriter(tmp_path / "bag", limits=FileLimits(size=10_000)) as bag:
-        write(bag, rig)
-    assert bag.files > 11
-    (tmp_path / "bag" / "metadata.yaml").unlink()
-    recording = read_bag(tmp_path / "bag")
-    rig.assert_same(recording)
-    assert len(recording.issues) == 1
 
 
 RECORDER = """

@@ -163,13 +163,6 @@ def test_joints_that_publish_by_themselves_are_no_second_publisher(rig: FakeRig,
     assert recording.issues == ()
 
 
-def test_several_joints_without_names_are_refused(rig: FakeRig, tmp_path: Path) -> None:
-    streams = rig.streams()
-    streams["/pam/measured/joint_states"].items[3] = rig.joint_message(rig.stamp_ns[3], [0.1, 0.2], [], ())
-    with pytest.raises(BadInput, match="joint_states holds 2 joints without names"):
-        read_bag(rig.write(tmp_path / "bag", streams))
-
-
 def test_joint_states_without_effort_or_names(rig: FakeRig, tmp_path: Path) -> None:
     streams = rig.streams()
     streams["/pam/measured/joint_states"].items = [

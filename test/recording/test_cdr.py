@@ -14,10 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
-from pam_antagonist.recording import TOPICS
 from pam_antagonist.recording.cdr import LATER, CdrError, decode, encode, stores_of, typestore
 from pam_antagonist.recording.raw import Payloads
-from pam_antagonist.recording.topics import find_topic
 
 JOINT = "sensor_msgs/msg/JointState"
 FLUID = "sensor_msgs/msg/FluidPressure"
@@ -62,23 +60,6 @@ def test_any_mix_of_layouts_decodes_like_message_by_message(messages) -> None:
             for field, values in (("position", position), ("velocity", velocity), ("effort", effort)):
                 np.testing.assert_array_equal(group.columns[field][k], np.array(values, np.float64))
     assert sorted(seen) == list(range(len(messages)))
-
-
-def test_encoded_estimates_are_what_rosbags_writes() -> None:
-    rng = np.random.default_rng(1)
-    sizes = {"angle": 1, "velocity": 1, "torque": 1, "covariance": 9, "pressure": 2, "force": 2, "stiffness": 1,
-             "innovation": 2, "innovation_covariance": 4, "nis": 1, "external_torque": 1,
-             "external_torque_covariance": 4}  # fmt: skip
-    columns = {name: rng.normal(size=(3, n) if n > 1 else 3) for name, n in sizes.items()}
-    columns["innovation"][1] = np.nan
-    columns |= {"subsystem": np.array([1, 18, 7]), "flags": np.array([0, 127, 3])}
-    times = {"header.stamp.sec": 5, "header.stamp.nanosec": np.array([1, 2, 3]), "started.sec": 4, "started.nanosec": 9}
-    matrix = encode(ESTIMATE, 3, {**columns, **times, "header.frame_id": "ab"})
-    for i in range(3):
-        time = typestore().types["builtin_interfaces/msg/Time"](4, 9)
-        fields = {name: values[i] if values.ndim > 1 else values[i].item() for name, values in columns.items()}
-        message = typestore().types[ESTIMATE](header=header(5, i + 1, "ab"), started=time, **fields)
-        assert matrix[i].tobytes() == bytes(typestore().serialize_cdr(message, ESTIMATE))
 
 
 PLAIN = bytes(encode(FLUID, 1, {"header.stamp.sec": 1, "header.stamp.nanosec": 2, "header.frame_id": "joint",
@@ -160,16 +141,6 @@ def test_valve_command_has_the_hash_of_existing_recordings(rig_a: Path) -> None:
     assert VALVE in hashes
     for msgtype, digest in hashes.items():
         assert typestore().hash_rihs01(msgtype) == digest
-
-
-def test_every_topic_has_a_known_type_and_a_name() -> None:
-    for name, topic in TOPICS.items():
-        assert topic.type in typestore().fielddefs
-        assert find_topic(name) is topic
-        assert find_topic(topic.relative) is topic
-    assert TOPICS["pressure_1"].resolve("pam") == "/pam/pressure_1"
-    assert TOPICS["pressure_1"].resolve("/") == "/pressure_1"
-    assert TOPICS["diagnostics"].resolve("/pam") == "/diagnostics"
 
 
 def test_topic_table_needs_no_bag_library() -> None:

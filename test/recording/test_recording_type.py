@@ -61,14 +61,6 @@ def test_arrays_are_copies_and_read_only() -> None:
             array[0] = 1
 
 
-def test_times() -> None:
-    made = recording()
-    assert made.duration_s == pytest.approx(4e-3, abs=1e-12)
-    assert made.sample_period_s == pytest.approx(1e-3, abs=1e-12)
-    np.testing.assert_allclose(made.time_s, np.arange(5) * 1e-3, atol=1e-12)
-    assert np.isnan(recording(stamp_ns=STAMPS[:1], pressure=np.ones((1, 2)), voltage=np.ones((1, 2))).sample_period_s)
-
-
 def test_slice_cuts_everything_at_the_same_times() -> None:
     reference = RecordedReference(STAMPS[[0, 2, 4]], [0, 1, 0], [0.1, 0.2, 0.3], [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
     whole = recording(

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 from bombs import assert_refused_in_a_gigabyte
+from edits import EDIT, VALUES, edited, examples
 from hypothesis import given
 from hypothesis import strategies as st
-from test_bag_fuzz import EDIT, edited, examples
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.static_table import read_force_map, read_volumes
@@ -27,13 +27,6 @@ FILES: dict[str, tuple[Path, Callable[[str], Any]]] = {
     "sealed": (config_dir() / "rigs" / "sealed_joint.yaml", load_rig),
     "map": (config_dir() / "maps" / "example.yaml", load_map),
 }
-VALUES = [
-    "", "~", "[]", "{}", "yes", "1e308", "-1e308", "1e-320", "1e999", ".nan", "-.inf", "0x" + "f" * 5000, "9" * 400,
-    "1:59:59", "2001-13-45", "2001-01-01", "'\\0'", '"\\0"', '"\\ud800"', "\x00", "\x1b[2J", "../../etc/passwd",
-    "/proc/self/mem", "!!python/name:os.system", "!!python/object/apply:os.system [id]", "&a [*a]", "*a", "[" * 900,
-    "{a: " * 900, "{<<: 3}", "{<<: [1]}", "!!set {a}", "!!binary x", "!!float x", "!!int ''", "!!timestamp x", "=",
-    "? a", "- - -", "- 1\n- 2", "|\n  x", ">-\n  " + "x" * 3000, "'" + "x" * 5000 + "'", "\ufeff", "\u2028", "{1: 2}",
-]  # fmt: skip
 EDITS = st.lists(
     st.one_of(
         st.tuples(st.just("value"), st.integers(0, 10**4), st.sampled_from(VALUES)),
@@ -108,6 +101,8 @@ def test_damaged_yaml(tmp_path: Path, name: str) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["file.yaml"]
 
 
+NAMES = "t,p1,p2,u1,u2,angle,torque,load"
+"""Columns of the example's map."""
 CELLS = [
     "", " ", "nan", "inf", "-inf", "1e999", "1e-400", "1_000", "0x10", "١٢", "1,5", "--", "NaN", '"', '""', '"1', "'1'",
     "1" * 5000, "=cmd()", "\x00", "\ufeff", "\r", "\t", ";", "1;2;3", "2026-01-01", "12:00:00", "1e308", "-1e308", "é",
@@ -161,26 +156,14 @@ def test_damaged_csv(tmp_path: Path, name: str) -> None:
     run()
 
 
-def one_line(folder: Path) -> bytes:
-    return b"1," * 30_000_000
-
-
-def one_cell(folder: Path) -> bytes:
-    return b"t,p1,p2,u1,u2,angle,torque,load\n" + b"1" * 60_000_000
-
-
-def one_quote(folder: Path) -> bytes:
-    return b't,p1,p2,u1,u2,angle,torque,load\n"' + b"1,2\n" * 15_000_000
-
-
-def many_columns(folder: Path) -> bytes:
-    return b"t,p1,p2,u1,u2,angle,torque,load" + b",x" * 400_000 + b"\n" + (b"1," * 400_008 + b"\n") * 20
-
-
-def empty_lines(folder: Path) -> bytes:
-    return b"t,p1,p2,u1,u2,angle,torque,load\n" + b"\n" * 1_000_000
-
-
+HEAD = NAMES.encode()
+CSV_BOMBS: dict[str, Callable[[], bytes]] = {
+    "one line": lambda: b"1," * 30_000_000,
+    "one cell": lambda: HEAD + b"\n" + b"1" * 60_000_000,
+    "one quotation": lambda: HEAD + b'\n"' + b"1,2\n" * 15_000_000,
+    "many columns": lambda: HEAD + b",x" * 400_000 + b"\n" + (b"1," * 400_008 + b"\n") * 20,
+    "empty lines": lambda: HEAD + b"\n" * 1_000_001,
+}
 IMPORTS = """
 from pam_antagonist.paths import config_dir
 from pam_antagonist.recording.csv_import import read_csv
@@ -189,10 +172,10 @@ found = load_map(str(config_dir() / "maps" / "example.yaml"))
 """
 
 
-@pytest.mark.parametrize("make", [one_line, one_cell, one_quote, many_columns, empty_lines])
-def test_csv_bombs(tmp_path: Path, make: Callable[[Path], bytes]) -> None:
+@pytest.mark.parametrize("name", CSV_BOMBS)
+def test_csv_bombs(tmp_path: Path, name: str) -> None:
     path = tmp_path / "file.csv"
-    path.write_bytes(make(tmp_path))
+    path.write_bytes(CSV_BOMBS[name]())
     assert_refused_in_a_gigabyte(IMPORTS, "read_csv(sys.argv[1], found)", str(path), seconds=60.0)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Sliding
+from pam_antagonist.diagnosis.errors import Errors, ModelErrors, RigErrors, Sliding
 from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.remaining import RemainingResidual, SumOfTerms, Surroundings
@@ -18,7 +18,7 @@ from pam_antagonist.diagnosis.rig_choice import RigChoice
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.report.close_loop import DiagnoseResult, errors_table, ranking_table, sizes_table
 from pam_antagonist.report.close_loop_findings import findings, left
-from pam_antagonist.report.document import Findings, Table
+from pam_antagonist.report.document import Findings, Section, Table
 from pam_antagonist.report.terminal import render
 from pam_antagonist.rig import Rig
 from pam_antagonist.strict_json import plain
@@ -91,6 +91,21 @@ def found(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> DiagnoseResult:
         seed=0,
         kept=1.0 / 3.0,
     )
+
+
+def test_residuals_of_two_diagnoses_are_compared_whatever_their_order(found: DiagnoseResult) -> None:
+    filtered = replace(ROW, channel="pressure_1", kind="innovation", rms=3.0)
+    of_both = {"recalibrated": (filtered, replace(ROW, rms=5.0)), "extended": (ROW, filtered)}
+    lacking = {"recalibrated": (replace(ROW, rms=5.0),), "extended": (ROW, filtered)}
+    rows, files = [], {name: RigErrors(getattr(MODELS, name)) for name in ("as_configured", "recalibrated", "extended")}
+    for residuals in (of_both, lacking):
+        shown = replace(found, of_one_rig=files, by_recording=(replace(RECORDING, residuals=residuals),))
+        blocks = shown.document(figures=False).blocks
+        section = next(one for one in blocks if isinstance(one, Section) and one.title == "Statistics of the residuals")
+        table = next(block for block in section.blocks if isinstance(block, Table))
+        rows.append({row[0].split(",")[0].strip(): row[1:3] for row in table.rows})
+    assert rows[0]["mass flow 1"] == rows[1]["mass flow 1"] == ("5.0", "2.0")
+    assert (rows[0]["pressure 1"], rows[1]["pressure 1"]) == (("3.0", "3.0"), ("–", "3.0"))
 
 
 def said(found: DiagnoseResult, status: str) -> str:

@@ -19,17 +19,15 @@ from pam_antagonist.replays import replay
 from pam_antagonist.report.demo import Demo
 from pam_antagonist.rig import Rig, load_rig
 
-Changed = Callable[..., Recording]
-
 
 @pytest.fixture
-def recording(free: Recording, changed: Changed) -> Recording:
+def recording(free: Recording) -> Recording:
     """Six seconds with the reference at 0, then at 2°."""
     stamps = free.stamp_ns[[0, 3000]]
     reference = RecordedReference(
         stamps, np.full(2, int(Mode.ANGLE), dtype=np.uint8), np.radians([0.0, 2.0]), *np.full((2, 2), np.nan)
     )
-    return changed(free, reference=reference)
+    return dataclasses.replace(free, reference=reference)
 
 
 def test_the_report_holds_replay_and_control(
@@ -54,7 +52,7 @@ def test_the_report_holds_replay_and_control(
 
 
 def test_a_stiffness_that_was_asked_for_is_judged_by_the_estimate(
-    rig: Rig, recording: Recording, changed: Changed, tmp_path: Path
+    rig: Rig, recording: Recording, tmp_path: Path
 ) -> None:
     assert recording.reference is not None
     mode = np.full(2, int(Mode.ANGLE_STIFFNESS), dtype=np.uint8)
@@ -62,7 +60,7 @@ def test_a_stiffness_that_was_asked_for_is_judged_by_the_estimate(
     asked = RecordedReference(
         recording.reference.stamp_ns, mode, recording.reference.value, stiffness, np.full(2, np.nan)
     )
-    demo = Demo.of(replay(changed(recording, reference=asked), rig), Mode.ANGLE_STIFFNESS, 0.02, 7, "model")
+    demo = Demo.of(replay(dataclasses.replace(recording, reference=asked), rig), Mode.ANGLE_STIFFNESS, 0.02, 7, "model")
     demo.write(tmp_path)
     written = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["demo"]["stiffness"]
     assert [step["reference"] for step in written["steps"]] == [6.0, 7.0]
@@ -111,7 +109,7 @@ def test_a_joint_without_commands_is_no_bad_controller(rig: Rig, recording: Reco
     assert shown.startswith("The joint had no commands: in 100.0 % of the samples the valves had the safe commands.")
 
 
-def test_a_computer_that_is_too_slow_is_told_so_in_a_sentence(rig: Rig, recording: Recording, changed: Changed) -> None:
+def test_a_computer_that_is_too_slow_is_told_so_in_a_sentence(rig: Rig, recording: Recording) -> None:
     from pam_antagonist.recording import Arrival
     from pam_antagonist.replays.accounting import STAGES
 
@@ -120,7 +118,7 @@ def test_a_computer_that_is_too_slow_is_told_so_in_a_sentence(rig: Rig, recordin
         kept = np.delete(recording.stamp_ns, slice(100, 100 + missing))
         received["valve_command"] = Arrival(kept, kept)
         shown = Demo.of(
-            replay(changed(recording, reference=recording.reference, received_ns=received), rig), Mode.ANGLE, 0.02, 7
+            replay(dataclasses.replace(recording, received_ns=received), rig), Mode.ANGLE, 0.02, 7
         ).summary()
         return " ".join(shown.split())
 

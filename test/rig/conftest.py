@@ -35,17 +35,17 @@ def edited(text, tmp_path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def refusal() -> Callable[[Path], str]:
+def refusal() -> Callable[..., str]:
     """The message with which a file is refused; it is one line, of readable length, and names the file."""
 
-    def load(path: Path) -> str:
+    def load(path: Path, longest: int = 400) -> str:
         with pytest.raises(BadInput) as error:
             load_rig(path)
         message = str(error.value)
         assert "\n" not in message
         assert message.startswith(f"{path}: ")
         message = message[len(f"{path}: ") :]
-        assert 0 < len(message) < 400
+        assert 0 < len(message) < longest
         return message
 
     return load

@@ -207,94 +207,78 @@ def test_whatever_comes_the_valves_get_numbers_within_limits_and_slew(
 # ------------------------------------------------------------------------------------------------ one commander
 
 
-def hold(authority: Authority, first: int = 5000, count: int = 50, publishers: int = 1) -> tuple[int, int]:
-    """A commander at 1 kHz; the number of its last message, and the time [ns]."""
-    for k in range(count):
-        authority.admit(first + k, publishers, k * MS)
-    return first + count - 1, (count - 1) * MS
+def ruled(*messages: tuple[int | None, int, int], held: bool = True) -> list[Ruling]:
+    """What is said to (number, publishers, time [ms]), after a commander that had number 5049 at 49 ms."""
+    authority = Authority(TIMEOUT)
+    before = [(5000 + k, 1, k) for k in range(50)] if held else []
+    said = [authority.admit(number, count, ms * MS) for number, count, ms in (*before, *messages)]
+    assert authority.refused == said.count(Ruling.REFUSED)
+    return said[len(before) :]
+
+
+ACCEPTED, REFUSED, UNCLEAR, LISTENING = Ruling.ACCEPTED, Ruling.REFUSED, Ruling.UNCLEAR, Ruling.LISTENING
 
 
 def test_a_single_publisher_is_obeyed_whatever_its_numbers() -> None:
-    authority = Authority(TIMEOUT)
-    for k, number in enumerate([7, 8, 900, 3, None, 4]):
-        assert authority.admit(number, 1, k * MS) is Ruling.ACCEPTED
-    assert authority.refused == 0
+    numbers = enumerate([7, 8, 900, 3, None, 4])
+    assert set(ruled(*((number, 1, k) for k, number in numbers), held=False)) == {ACCEPTED}
 
 
 def test_a_second_commander_is_refused_and_the_first_one_goes_on() -> None:
-    authority = Authority(TIMEOUT)
-    last, now = hold(authority)
-    for k in range(1, 1000):
-        assert authority.admit(k, 2, now + k * MS) is Ruling.REFUSED
-        assert authority.admit(last + k, 2, now + k * MS + 1) is Ruling.ACCEPTED
-    assert authority.refused == 999
+    both = [message for k in range(1, 1000) for message in ((k, 2, 49 + k), (5049 + k, 2, 49 + k))]
+    assert ruled(*both) == [REFUSED, ACCEPTED] * 999
 
 
-@pytest.mark.parametrize("lost", [1, 20, 99])
-def test_lost_messages_do_not_cost_the_valves(lost: int) -> None:
-    authority = Authority(TIMEOUT)
-    last, now = hold(authority)
-    assert authority.admit(last + 1 + lost, 2, now + 10 * MS) is Ruling.ACCEPTED
+@pytest.mark.parametrize(("lost", "later_ms"), [(1, 10), (20, 10), (99, 10), (0, 300)])
+def test_lost_messages_and_a_stall_do_not_cost_the_valves(lost: int, later_ms: int) -> None:
+    assert ruled((5050 + lost, 2, 49 + later_ms)) == [ACCEPTED]
 
 
 def test_who_was_refused_does_not_inherit_the_valves() -> None:
-    authority = Authority(TIMEOUT)
-    _, now = hold(authority)
-    verdicts = [authority.admit(10 + k, 2, now + k * MS) for k in range(1, 40)]
-    assert verdicts[:20] == [Ruling.REFUSED] * 20
-    assert verdicts[20] is Ruling.UNCLEAR
+    said = ruled(*((10 + k, 2, 49 + k) for k in range(1, 40)))
+    assert said[:21] == [REFUSED] * 20 + [UNCLEAR]
 
 
 def test_a_commander_that_was_started_again_is_obeyed_while_the_dead_one_is_still_counted() -> None:
-    authority = Authority(TIMEOUT)
-    _, now = hold(authority)
-    verdicts = [authority.admit(1 + k, 2, now + 500 * MS + k * MS) for k in range(30)]
-    assert verdicts == [Ruling.LISTENING] * 21 + [Ruling.ACCEPTED] * 9
-
-
-def test_a_commander_that_stalled_goes_on() -> None:
-    authority = Authority(TIMEOUT)
-    last, now = hold(authority)
-    assert authority.admit(last + 1, 2, now + 300 * MS) is Ruling.ACCEPTED
-
-
-def test_two_from_the_start_are_unclear() -> None:
-    authority = Authority(TIMEOUT)
-    assert authority.admit(100, 2, 0) is Ruling.LISTENING
-    assert authority.admit(9000, 2, MS) is Ruling.UNCLEAR
+    assert ruled(*((1 + k, 2, 549 + k) for k in range(30))) == [LISTENING] * 21 + [ACCEPTED] * 9
 
 
 @pytest.mark.parametrize("behind", [0, 1, 100])
 def test_two_whose_numbers_are_alike_are_unclear(behind: int) -> None:
     """The second one's number was taken for the first one's; the first one's own gives that away."""
-    authority = Authority(TIMEOUT)
-    last, now = hold(authority)
-    assert authority.admit(last - behind, 2, now + MS) is Ruling.UNCLEAR
+    assert ruled((5049 - behind, 2, 50)) == [UNCLEAR]
 
 
-def test_without_numbers_two_are_unclear() -> None:
-    authority = Authority(TIMEOUT)
-    assert authority.admit(None, 1, 0) is Ruling.ACCEPTED
-    assert authority.admit(None, 2, MS) is Ruling.UNCLEAR
-    assert authority.admit(None, 1, 2 * MS) is Ruling.ACCEPTED
+def test_two_from_the_start_or_without_numbers_are_unclear() -> None:
+    assert ruled((100, 2, 0), (9000, 2, 1), held=False) == [LISTENING, UNCLEAR]
+    assert ruled((None, 1, 0), (None, 2, 1), (None, 1, 2), held=False) == [ACCEPTED, UNCLEAR, ACCEPTED]
 
 
 def test_after_a_release_everybody_may_try_again() -> None:
     authority = Authority(TIMEOUT)
-    last, now = hold(authority)
-    assert authority.admit(1, 2, now) is Ruling.REFUSED
+    for k in range(50):
+        authority.admit(5000 + k, 1, k * MS)
+    assert authority.admit(1, 2, 49 * MS) is REFUSED
     authority.release()
-    assert authority.admit(2, 1, now + MS) is Ruling.ACCEPTED
-    assert authority.admit(last + 1, 2, now + 2 * MS) is Ruling.REFUSED
+    assert authority.admit(2, 1, 50 * MS) is ACCEPTED
+    assert authority.admit(5050, 2, 51 * MS) is REFUSED
 
 
 # ------------------------------------------------------------------------------------------------ references
 
 
-def test_a_single_publisher_is_obeyed_at_once_also_a_new_one() -> None:
+@pytest.mark.parametrize(
+    ("messages", "admitted"),
+    [
+        ([(1, 1, 0), (2, 1, 0), (9, 1, 0), (1, 1, 0)], [True] * 4),  # the last one was started anew
+        ([(5000, 2, 0), (1, 2, S), (2, 2, S + 1), (5001, 2, S + 2)], [True, False, True, False]),
+        ([(None, 2, 0), (None, 2, 1)], [True, True]),
+    ],
+    ids=["a single publisher, also a new one", "silence frees the joint", "without numbers nobody is told apart"],
+)
+def test_who_owns_the_references(messages: list[tuple[int | None, int, int]], admitted: list[bool]) -> None:
     owner = ReferenceOwner()
-    for sequence in (1, 2, 9, 1):  # the last one was started anew
-        assert owner.admit(sequence, 1, 0)
+    assert [owner.admit(*message) for message in messages] == admitted
 
 
 def test_while_the_first_is_heard_another_is_refused() -> None:
@@ -306,16 +290,3 @@ def test_while_the_first_is_heard_another_is_refused() -> None:
     assert owner.refused == 49
     # A publisher's own number does not come twice.
     assert not owner.admit(5049, 2, 5 * S)
-
-
-def test_silence_frees_the_joint() -> None:
-    owner = ReferenceOwner()
-    owner.admit(5000, 2, 0)
-    assert not owner.admit(1, 2, S)
-    assert owner.admit(2, 2, S + 1)
-    assert not owner.admit(5001, 2, S + 2)
-
-
-def test_without_numbers_no_owner_of_references_can_be_told_apart() -> None:
-    owner = ReferenceOwner()
-    assert owner.admit(None, 2, 0) and owner.admit(None, 2, 1)

@@ -5,7 +5,7 @@
   replay    the whole replay command against the length of the recording
   pipeline  plant, estimator and controller as three processes at 1 kHz with a recorder (needs ROS 2): lost samples,
             the time from pressure to command, memory; then again with the monitor beside them, with one message a
-            sample, and all in one process
+            sample, all in one process, and six joints in one process at 500 Hz
   board     all in one process, with a recorder, on one core beside three busy processes, at 1000, 500 and 250 Hz: which
             samples have an estimate in time
 
@@ -39,6 +39,7 @@ from pam_antagonist.recording import read_bag
 from pam_antagonist.replays.accounting import account
 from pam_antagonist.report.document import Table, number
 from pam_antagonist.rig import load_rig
+from pam_antagonist.rig.file import write_rig
 from validation import frame
 from validation.benchmark import board
 from validation.pipeline import running
@@ -55,6 +56,8 @@ _OF: dict[str, dict[str, object]] = {
 _RECORDER = "record"
 _ONE = {"samples": "one", "topic_rate": 100.0}
 """Parameters of all nodes where a sample is one message, and people see every tenth."""
+_JOINTS, _PERIOD = ("pam", *(f"pam_{number}" for number in range(2, 7))), 0.002
+"""Namespaces of several joints in one process, and their sample period [s]."""
 
 
 def parser() -> common.Parser:
@@ -141,21 +144,36 @@ def _pipeline(rig: str, duration: float) -> dict[str, float]:
     }
     for words, run in (("one message a sample", one), ("one process", together)):
         ratios |= {f"{name}, {words}": run[name] for name in run if name.startswith(("samples", "pressure to"))}
-    ratios |= {f"{name}, share of a core in one process [%]": together[f"{name}, share of a core [%]"]
-               for name in ("joints", _RECORDER)}  # fmt: skip
+    several = _several(rig, duration)
+    for words, run in (("in one process", together), (f"{len(_JOINTS)} joints at {1.0 / _PERIOD:.0f} Hz", several)):
+        ratios |= {f"{name}, {words}, share of a core [%]": run[f"{name}, share of a core [%]"]
+                   for name in ("joints", _RECORDER)}  # fmt: skip
+    ratios |= {f"{name}, {len(_JOINTS)} joints": several[name] for name in several if name.startswith("samples")}
     return {**alone, **{name: value for name, value in watched.items() if name.startswith("monitor")}, **ratios}
 
 
+def _several(rig: str, duration: float) -> dict[str, float]:
+    """Several joints in one process, all recorded; what is said of samples is said of the first joint."""
+    with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as folder:
+        slow, sections = Path(folder) / "rig.yaml", Path(folder) / "robot.yaml"
+        write_rig(load_rig(rig).replaced(sample_period=_PERIOD), slow, [])
+        own = {f"/{name}/**": {"ros__parameters": {"joint_name": name}} for name in _JOINTS}
+        sections.write_text(json.dumps({"/joints": {"ros__parameters": {"joints": _JOINTS}}, **own}), encoding="utf-8")
+        return _run(str(slow), duration, ("joints",), _ONE, sections)
+
+
 def _run(
-    rig: str, duration: float, names: Sequence[str], given: Mapping[str, object] = MappingProxyType({})
-) -> dict[str, float]:
+    rig: str, duration: float, names: Sequence[str], given: Mapping[str, object] = MappingProxyType({}),
+    sections: Path | None = None,
+) -> dict[str, float]:  # fmt: skip
+    """Figures of the nodes with a recorder. `sections`: a parameter file of several joints, `_JOINTS`."""
     from pam_antagonist.nodes.client import ReferenceClient
 
     path = str(Path(rig).resolve()) if rig.endswith((".yaml", ".yml")) else rig
     nodes = {name: {"rig": path, **_OF.get(name, {}), **given} for name in (*names[1:], names[0])}
     with tempfile.TemporaryDirectory(prefix="pam_benchmark_") as folder:
         try:
-            with running(Path(folder), nodes) as processes:
+            with running(Path(folder), nodes, _JOINTS if sections else (), sections) as processes:
                 with ReferenceClient() as watch:
                     processes.wait(watch.missing)
                 time.sleep(_SETTLE)
@@ -168,7 +186,7 @@ def _run(
                 after = {node: _taken(process) for node, process in taken.items()}
         except ProcessFailed as error:
             raise BadInput(f"pipeline: {error}") from None
-        recording = read_bag(Path(folder) / "bag")
+        recording = read_bag(Path(folder) / "bag", namespace=_JOINTS[0])
     found = account(recording, load_rig(rig).sample_period)
     if found is None or found.expected == 0:
         raise BadInput("pipeline: the recording lacks a stage of the pipeline")

@@ -16,7 +16,6 @@ import pytest
 from pam_antagonist.__main__ import main
 from pam_antagonist.errors import BadInput
 from pam_antagonist.hardware.device import DeviceLost
-from pam_antagonist.hardware.protocol import Status
 from pam_antagonist.hardware.serial_device import SerialDevice, SerialTransport
 from pam_antagonist.safety import SafeAction
 from validation.__main__ import COMMANDS
@@ -85,44 +84,6 @@ def emulated(
 
 
 @pytest.mark.realtime
-def test_a_host_finds_a_device_with_a_joint_behind_the_link(emulated):
-    # its counter wraps half a second after the start
-    emulator, link, log = emulated("--first-us", str(2**32 - 500_000), "--fault", "stop@0.5-0.6")
-    assert os.path.exists(link)
-    device = SerialDevice(lambda: SerialTransport(str(link)))
-    info = device.start(SafeAction((5.0, 5.25)))
-    assert (info.name, info.unit, info.encoder, info.torque) == ("emulator", "V", True, True)
-    samples = []
-    end = time.monotonic() + 1.0
-    while time.monotonic() < end:
-        samples += device.samples(0.05)
-        device.command((6.0, 5.0))
-    assert len(samples) > 800
-    assert [(b.sequence - a.sequence) % 65536 for a, b in zip(samples, samples[1:], strict=False)] == [1] * (
-        len(samples) - 1
-    )
-    assert {b.device_ns - a.device_ns for a, b in zip(samples, samples[1:], strict=False)} == {1_000_000}
-    assert samples[0].voltage == (5.0, 5.25) and samples[-1].voltage == (6.0, 5.0)
-    assert samples[-1].pressure[0] > samples[0].pressure[0]  # valve 1 is open further
-    assert samples[-1].encoder is not None and samples[-1].encoder != samples[0].encoder
-    stopped = [sample for sample in samples if sample.status & Status.STOPPED]
-    assert 80 <= len(stopped) <= 300  # the fault ends by the clock, also on a machine that stalls
-    assert {sample.voltage for sample in stopped[2:]} == {(5.0, 5.25)}
-    device.close()
-    with pytest.raises(DeviceLost, match="closed"):
-        device.samples(0.1)
-    time.sleep(0.1)
-    emulator.send_signal(signal.SIGTERM)
-    _, said = emulator.communicate(timeout=10.0)
-    assert emulator.returncode == 0 and "0 missed" in said
-    assert not os.path.lexists(link)
-    rows = [line.split(",") for line in log.read_text().splitlines()]
-    assert rows[0] == ["time_ns", "device_us", "event", "voltage_1", "voltage_2", "safe"]
-    assert [row[2] for row in rows if row[2] not in ("event", "voltage")] == ["+stop", "-stop"]
-    assert rows[-1][3:] == ["5.0", "5.25", "1"]
-
-
-@pytest.mark.realtime
 def test_faults_that_begin_or_end_during_a_stall_are_not_lost(emulated):
     faults = ("unplug@0.1-0.5", "stall@0.3-1.2", "stop@0.7-0.9", "restart@1")
     options = [word for fault in faults for word in ("--fault", fault)]
@@ -140,6 +101,7 @@ def test_faults_that_begin_or_end_during_a_stall_are_not_lost(emulated):
     time.sleep(1.0)
     emulator.send_signal(signal.SIGTERM)
     emulator.communicate(timeout=10.0)
+    assert emulator.returncode == 0 and not os.path.lexists(link)
     rows = [line.split(",") for line in log.read_text().splitlines()[1:]]
     events = ["+unplug", "+stall", "-unplug", "+stop", "-stop", "+restart", "-stall"]
     assert [row[2] for row in rows if row[2] != "voltage"] == events

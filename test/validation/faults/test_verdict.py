@@ -30,7 +30,6 @@ from validation.faults.verdict import (
     first_obeyed,
     judge,
     safe_since,
-    share_safe,
     wrong_voltages,
 )
 from validation.frame import in_markdown
@@ -216,12 +215,6 @@ def test_control_is_back_with_the_first_voltage_that_is_not_safe() -> None:
     assert first_obeyed(ROWS, 22 * MS) == 25 * MS
     assert first_obeyed(ROWS[:7], 35 * MS) is None
     assert first_obeyed((), 0) is None
-
-
-def test_share_of_safe_time() -> None:
-    assert share_safe(ROWS, 0, 100 * MS) == pytest.approx(0.55)  # 20 to 25, 30 to 80
-    assert share_safe(ROWS, 30 * MS, 80 * MS) == 1.0
-    assert share_safe(ROWS, 80 * MS, 90 * MS) == 0.0
 
 
 @pytest.mark.parametrize("voltage", [(10.0, 0.0), (6.0, 6.0), (0.0, 0.0), (9.0, 2.0), (float("nan"), 5.0)])
