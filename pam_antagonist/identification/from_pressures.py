@@ -165,10 +165,10 @@ def _chosen(rig: Rig, runs: Sequence[Run], options: Options) -> tuple[list[Unkno
             "record the angle of a free joint and the torque of a locked one.",
         )  # fmt: skip
         air = [item for item in kept if joint_stage.is_of_air(item.name)]
-        return [*joint_stage.of_joint(rig, kept), *_stop(rig, runs, kept, options)], air, notes
+        return [*joint_stage.of_joint(rig, kept), *_stops(rig, runs, kept, options)], air, notes
     more = [item for item in named if item.name.startswith(options.free)] if options.free else []
     both = []
-    joint = [*joint_stage.unknowns(rig, runs), *_stop(rig, runs, more, options)]
+    joint = [*joint_stage.unknowns(rig, runs), *_stops(rig, runs, more, options)]
     for usual, of_air in ((joint, False), (air_stage.unknowns(rig, runs), True)):
         kept_unknowns = [item for item in usual if not _is_frozen(item, options.frozen)]
         known = {path for item in usual for path in item.paths}
@@ -194,11 +194,11 @@ def _encoder(rig: Rig, runs: Sequence[Run], jobs: int) -> list[Unknown]:
     return [replace(item, start=found.values[item.name], std=found.stds[item.name]) for item in clear]
 
 
-def _stop(rig: Rig, runs: Sequence[Run], others: Sequence[Unknown], options: Options) -> list[Unknown]:
+def _stops(rig: Rig, runs: Sequence[Run], others: Sequence[Unknown], options: Options) -> list[Unknown]:
     """The angle of the stops where recordings show it, unless others have it or it may not move."""
     known = {item.name for item in others}
     return [
-        item for item in joint_stage.stop(rig, runs) if item.name not in known and not _is_frozen(item, options.frozen)
+        item for item in joint_stage.stops(rig, runs) if item.name not in known and not _is_frozen(item, options.frozen)
     ]
 
 

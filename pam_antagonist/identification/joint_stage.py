@@ -207,7 +207,7 @@ def encoder(zero: tuple[float, float]) -> list[Unknown]:
     return [Unknown(ZERO, (), *zero), Unknown(DELAY, (), 0.0, 0.01, low=-0.1, high=0.1)]
 
 
-def stop(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
+def stops(rig: Rig, runs: Sequence[Run]) -> list[Unknown]:
     """The angle of the stops, where a free joint comes near one."""
     if not any(run.moves and shows_stop(rig, run.angle) for run in runs):
         return []
