@@ -14,7 +14,6 @@ from typing_extensions import override
 T = TypeVar("T")
 _LONGEST = 500
 _VALUE = 40
-_NAME, _FEW = 120, 12
 MISSING = "–"
 """Text for a missing value."""
 DIVERGES = "that of a model that diverges"
@@ -26,10 +25,9 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
-def few(names: Sequence[str]) -> str:
-    """The first of many names, each of them cut where it is long: ``a, b, c and 4 more``."""
-    shown = ", ".join(name if len(name) <= _NAME else f"{name[:_NAME]} ..." for name in names[:_FEW])
-    return shown if len(names) <= _FEW else f"{shown} and {len(names) - _FEW} more"
+def few(names: Sequence[str], most: int = 12) -> str:
+    """The first of many names: ``a, b, c and 4 more``."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 class Shown:

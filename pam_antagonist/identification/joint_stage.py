@@ -20,7 +20,7 @@ from pam_antagonist._jit import kernel
 from pam_antagonist.identification.runs import Run
 from pam_antagonist.inference.fit import Fit, Residual, Values, deviations, fitted, refined, within_bounds
 from pam_antagonist.inference.fit_errors import Rows, with_errors
-from pam_antagonist.inference.free_parameters import STOP, off_stop, shows_stop, stop_std
+from pam_antagonist.inference.free_parameters import EYE_STD, STOP, off_stop, shows_stop, stop_std
 from pam_antagonist.inference.pressure_driven import NO_REGULATORS
 from pam_antagonist.inference.unknown import Unknown, parameters
 from pam_antagonist.model import dynamics
@@ -55,9 +55,7 @@ _LONGEST_STEP = 2e-3
 """[s] Of the integration."""
 _ZERO_STD = math.radians(5.0)
 """[rad] Of the encoder's zero, where both muscles are alike."""
-_EYE_STD = math.radians(3.0)
-"""[rad] Of an encoder that was set by eye to the middle between two stops."""
-BY_EYE = 0.0, _EYE_STD
+BY_EYE = 0.0, EYE_STD
 """[rad] The zero of such an encoder: most probable value, and standard deviation."""
 _LARGEST_ZERO_STD = math.radians(30.0)
 _UNLIKE = 0.35

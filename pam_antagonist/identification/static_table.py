@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.tobit import Bools, Floats
+from pam_antagonist.recording.array_files import listed
 from pam_antagonist.recording.csv_map import Delimiter, Layout
 from pam_antagonist.recording.csv_table import NumberTable, TextLine, TextLines, check_file, opened, read_table, split
 from pam_antagonist.recording.plausible import UNITS, Signal, canonical, judge_muscles
-from pam_antagonist.shown import few
 
 _WORDS = {
     "length": ("length", "l", "len"),
@@ -292,7 +292,7 @@ def _column_of(path: Path, header: Sequence[str], quantity: str, given: Choice |
         if len(found) != 1:
             what = f"{len(found)} columns are called so" if found else "no column is called so"
             raise BadInput(
-                f"{where}: {what} among {few(header)}, expected one such as {_EXAMPLES[quantity]}; else give "
+                f"{where}: {what} among {listed(header)}, expected one such as {_EXAMPLES[quantity]}; else give "
                 f'--column "{quantity}=NAME:UNIT"'
             )
         given = Choice(found[0])

@@ -48,8 +48,8 @@ _FLOW = (
 STOP = "joint.stop"
 _STOP_STD = math.radians(1.5)
 """[rad] How well a protractor shows the angle of a stop."""
-_NEAR_STOP = math.radians(3.0)
-"""[rad] So near its stops a joint may lean on them: an encoder is set to the middle between them by eye."""
+EYE_STD = math.radians(3.0)
+"""[rad] Of an encoder that was set by eye to the middle between two stops; so near them a joint may lean on one."""
 _MOTION = ("joint.inertia", "joint.viscous_friction")
 """Coefficients of the paper's force map F = v(l) P + w(l)."""
 _FRICTION = {
@@ -154,7 +154,7 @@ def stop_std(rig: Rig) -> float:
     return rig.priors.get(STOP, _STOP_STD) / rig.joint.stop
 
 
-def off_stop(rig: Rig, margin: float = _NEAR_STOP) -> float:
+def off_stop(rig: Rig, margin: float = EYE_STD) -> float:
     """Angle [rad] within which a joint does not lean on its stops. `margin`: [rad]."""
     return math.inf if rig.joint.stop is None else rig.joint.stop - margin
 

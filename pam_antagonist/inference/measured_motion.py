@@ -24,6 +24,7 @@ from typing_extensions import override
 
 from pam_antagonist.inference.angle_driven import JOINT_PLACES, Motion, filled_in
 from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.free_parameters import off_stop
 from pam_antagonist.inference.free_run import initial_state
 from pam_antagonist.inference.point import Channel, Point
 from pam_antagonist.inference.trial import ANGLE, PRESSURE_1, Trial
@@ -123,7 +124,7 @@ class MeasuredMotion(ValveDriven):
     @cached_property
     def measured_samples(self) -> Floats:
         """Imbalance of a right model (N,) [N m]: 0, NaN where the motion is not clear."""
-        clear = self.motion.clear & (np.abs(self.motion.angle) < self.vector[par.STOP] - _NEAR_STOP)
+        clear = self.motion.clear & (np.abs(self.motion.angle) < off_stop(self.rig, _NEAR_STOP))
         clear &= (self.motion.direction != 0.0) | (not self.sliding)
         return np.where(clear, 0.0, np.nan)
 

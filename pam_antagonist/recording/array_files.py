@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..optional import needs
+from ..shown import few
 
 Floats = NDArray[np.float64]
 
@@ -116,9 +117,7 @@ def no_column(path: Path, quantity: str, name: str, there: Iterable[str]) -> Bad
 
 def listed(names: Iterable[str]) -> str:
     """Names of columns for a message, cut to a readable length."""
-    known = list(names)
-    more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
-    return ", ".join(shown(name) for name in known[:_LISTED]) + more
+    return few(list(map(shown, names)), _LISTED)
 
 
 def shown(text: str) -> str:

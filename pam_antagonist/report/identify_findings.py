@@ -10,7 +10,7 @@ from pam_antagonist.identification.result import HeldRecording
 from pam_antagonist.replays.result import ANGLE, CHANNELS, covered
 from pam_antagonist.report.document import Statement, good, note, warn
 from pam_antagonist.rig.units import readable
-from pam_antagonist.shown import number, percent
+from pam_antagonist.shown import few, number, percent
 
 if TYPE_CHECKING:
     from pam_antagonist.identification.identified import Identified, ParameterEntry
@@ -132,15 +132,14 @@ def _differences(result: Identified) -> list[Statement]:
     certain = [item for item in result.between if item.certain]
     if not certain:
         return [good("The recordings agree in all parameters within their error bars.")]
-    named = ", ".join(f"{item.name} by {100 * item.largest:.1f} %" for item in certain[:_LISTED])
-    more = f" and {len(certain) - _LISTED} more" if len(certain) > _LISTED else ""
+    named = few([f"{item.name} by {100 * item.largest:.1f} %" for item in certain], _LISTED)
     if max(abs(item.largest) for item in certain) > _USUAL_DIFFERENCE:
         return [warn(
             f"The recordings differ by more than {percent(_USUAL_DIFFERENCE)}, as those of one rig hardly do: "
-            f"{named}{more}. Either the rig changed, or the model lacks an effect. The common values suit neither."
+            f"{named}. Either the rig changed, or the model lacks an effect. The common values suit neither."
         )]  # fmt: skip
     return [note(
-        f"The recordings differ a little, as those of one rig may: {named}{more}. The common values lie between them, "
+        f"The recordings differ a little, as those of one rig may: {named}. The common values lie between them, "
         "and the filter's covariance includes the differences."
     )]  # fmt: skip
 
