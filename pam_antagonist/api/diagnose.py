@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 from pam_antagonist.api.given import Bag, RigGiven, as_recordings, corrections, named
@@ -13,7 +12,6 @@ from pam_antagonist.diagnosis import diagnose as _diagnose
 from pam_antagonist.diagnosis.episodes import diagnose as _of_episodes
 from pam_antagonist.diagnosis.from_pressures import diagnose as _from_pressures
 from pam_antagonist.diagnosis.hypotheses import ResumeFolder
-from pam_antagonist.diagnosis.learned_law import diagnosed
 from pam_antagonist.diagnosis.preparation import Settings, silent
 from pam_antagonist.errors import BadInput
 from pam_antagonist.identification.episode_filter import with_filter
@@ -233,7 +231,7 @@ def diagnose(
     else:
         for recording in every:
             recording.in_one_piece()
-        diagnosis = diagnosed(partial(_diagnose, **settings), fitted, kept, chosen, progress or silent)
+        diagnosis = _diagnose(fitted, chosen, held_out=kept, laws=True, **settings)
     whole = tuple(part.recording for part in diagnosis.by_recording if part.role == "held out")
     return widened(
         DiagnoseResult, diagnosis, start=chosen, hashes=hashes, seed=seed, kept=whole or holdout,

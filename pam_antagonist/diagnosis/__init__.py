@@ -12,12 +12,12 @@
    :mod:`change_point`), an effect that base parameters imitate (:mod:`disguise`), a torque that comes and goes
    (:mod:`disturbance`), friction of a joint that sticks.
    :mod:`findings` names the effects, with muscle and size, and :mod:`splits` says how firm they are.
-5. Describe. The :class:`Diagnosis` is made: :mod:`held_out` its errors, :mod:`ambiguity` its rivals,
-   :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings` what a user should know,
-   :mod:`rig_choice` the rig files, :mod:`intervals` the width of their intervals. :mod:`closed_loop` is the diagnosis
-   with its inputs and ``report.json``.
+5. Describe, once and after the last learned law. :mod:`description` makes the :class:`Diagnosis`: :mod:`held_out` its
+   errors, :mod:`ambiguity` its rivals, :mod:`remaining` and :mod:`residual_statistics` what is left, :mod:`warnings`
+   what a user should know, :mod:`rig_choice` the rig files, :mod:`intervals` the width of their intervals, and
+   :mod:`sentences` the result in words. :mod:`closed_loop` is the diagnosis with its inputs and ``report.json``.
 
-All of them use :mod:`thresholds`. :mod:`result` and :mod:`errors` hold the data that are passed on.
+All of them use :mod:`thresholds`. :mod:`judged`, :mod:`result` and :mod:`errors` hold the data that are passed on.
 
 A regulator-driven joint with many short episodes has a pipeline of its own: :mod:`episodes`, with
 :mod:`pam_antagonist.inference.episode_search` for its effects. A rig of data sheets, and short trials of any valves,
@@ -26,7 +26,8 @@ an experiment of each of its parts. Search, rules and result are the same.
 
 Where the catalogue leaves a clear excess, :mod:`learned_law` measures the laws that are missing. :mod:`law_search`
 finds one, or two at once, by derivatives of the model (:mod:`law_columns`). :mod:`law_forms` says what a law may be,
-:mod:`law_arguments` what it may depend on, and :mod:`law_evidence` whether it is worth taking.
+:mod:`law_arguments` what it may depend on, :mod:`law_evidence` whether it is worth taking, and :mod:`law_findings` what
+is said of it.
 
 :mod:`monitor` tests a running joint: :mod:`monitor_responses` is what each hypothesis would change in the innovations,
 :mod:`monitor_blocks` the evidence for it and for its onset.

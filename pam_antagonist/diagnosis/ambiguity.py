@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis import thresholds
+from pam_antagonist.diagnosis.judged import Judged
 from pam_antagonist.diagnosis.models import Model
 from pam_antagonist.diagnosis.preparation import DRIVEN
-from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Judged, Size
+from pam_antagonist.diagnosis.result import Ambiguity, FoundEffect, Size
 from pam_antagonist.diagnosis.search import about
 from pam_antagonist.inference.angle_driven import AIR, BALANCE, AngleDriven
 from pam_antagonist.inference.gauss_newton import Fitted, cost_of, refit

@@ -15,14 +15,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pam_antagonist.diagnosis import ambiguity, pipeline, warnings
+from pam_antagonist.diagnosis import ambiguity, description, pipeline, sentences, warnings
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, RigErrors, total_of
+from pam_antagonist.diagnosis.judged import Judged, JudgedJoint
 from pam_antagonist.diagnosis.learned_law import of_part
 from pam_antagonist.diagnosis.model_parts import AIR, JOINT, ModelPart, group_of
 from pam_antagonist.diagnosis.preparation import Prepared, Settings, Timings
-from pam_antagonist.diagnosis.result import MODELS, Diagnosis, FoundCalibration, Judged, RecordingEntry
+from pam_antagonist.diagnosis.result import MODELS, Diagnosis, FoundCalibration, RecordingEntry
 from pam_antagonist.diagnosis.rig_choice import RigChoice, RigFile
-from pam_antagonist.diagnosis.verdicts import NONE, UNEXPLAINED, Verdict, overall
+from pam_antagonist.diagnosis.verdicts import NONE, UNEXPLAINED, Verdict
 from pam_antagonist.estimation.metrics import ModelAloneErrors
 from pam_antagonist.identification import air_stage, joint_stage
 from pam_antagonist.identification.filter_stage import Given
@@ -119,11 +120,12 @@ def diagnose(recordings: Sequence[Given], rig: Rig, settings: Settings, whole: i
         judged = [_doubted(one, base, extended) if one.group.name == doubted else one for one in judged]
         extended = None
     timings.end("filter and held-out data")
-    return _described(recordings, judged, _Rigs(base, extended), timings)
+    return _described(recordings, JudgedJoint.of(prepared, judged), _Rigs(base, extended), timings)
 
 
-def _described(recordings: Sequence[Given], judged: Sequence[Judged], rigs: _Rigs, timings: Timings) -> Diagnosis:
-    """Everything that a report says. `judged`: the verdict on each part."""
+def _described(recordings: Sequence[Given], joint: JudgedJoint, rigs: _Rigs, timings: Timings) -> Diagnosis:
+    """Everything that a report says."""
+    judged = joint.parts
     effects = tuple(
         replace(effect, part=one.group.name, recordings=_names(one)) for one in judged for effect in one.effects
     )
@@ -140,10 +142,9 @@ def _described(recordings: Sequence[Given], judged: Sequence[Judged], rigs: _Rig
         name: RigErrors.total(totals[name], [(getattr(one.ukf, name), n) for one, n in zip(known, counts, strict=True)])
         for name in MODELS
     }
-    models = {False: pipeline.all_of(one.base for one in judged), True: pipeline.all_of(one.model for one in judged)}
     timings.end("description")
     return Diagnosis(
-        verdict=overall(one.verdict for one in judged),
+        verdict=joint.verdict,
         sentence=_sentence(judged, rigs),
         effects=effects,
         calibrations=calibrated,
@@ -152,14 +153,14 @@ def _described(recordings: Sequence[Given], judged: Sequence[Judged], rigs: _Rig
             [effect.name for effect in effects], ambiguous, {state.condition for _, state, _ in recordings}
         ),
         ambiguities=(),
-        ranking=tuple(pipeline.ranked(one, tried) for one in judged for tried in one.ranking.tried),
-        share=pipeline.share_of_found(judged),
-        parts=pipeline.parts_of(judged),
+        ranking=joint.ranking,
+        share=description.share_of_found(judged),
+        parts=tuple(one.as_part for one in judged),
         errors=ModelErrors(*(totals[name] for name in MODELS)),
         of_one_rig=of_one_rig,
         by_recording=entries,
         reference=None,
-        remaining=tuple(item for one in judged for item in pipeline.left(one)),
+        remaining=tuple(item for one in judged for item in description.left(one)),
         unseen=(),
         warnings=(
             *warnings.guessed_curves(rigs.recalibrated.start, [effect.name for effect in effects]),
@@ -170,8 +171,8 @@ def _described(recordings: Sequence[Given], judged: Sequence[Judged], rigs: _Rig
         rig_extended=rigs.last.rig,
         own=(),
         base_friction_removed=False,
-        recalibrated=models[False],
-        extended=models[True],
+        recalibrated=joint.base,
+        extended=joint.model,
         compared=(),
         seconds=timings.seconds,
         notes=rigs.last.notes,
@@ -245,7 +246,7 @@ def _choice(rigs: _Rigs, errors: Mapping[str, RigErrors]) -> RigChoice:
 
 def _sentence(judged: Sequence[Judged], rigs: _Rigs) -> str:
     """The result in words."""
-    found = [pipeline.in_words(effect, False) + _explains(one, effect.law is not None, effect.holdout_gain)
+    found = [sentences.in_words(effect, False) + _explains(one, effect.law is not None, effect.holdout_gain)
              for one in judged for effect in one.effects]  # fmt: skip
     unexplained = [one.group.name for one in judged if one.verdict == UNEXPLAINED]
     if found:

@@ -8,20 +8,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pam_antagonist.diagnosis import calibrations, residual_statistics
+from pam_antagonist.diagnosis import calibrations
 from pam_antagonist.diagnosis.agreement import common_point, own_rig, with_tuning
 from pam_antagonist.diagnosis.errors import Errors, Innovations, ModelErrors, Sliding, errors_of, total_of
+from pam_antagonist.diagnosis.judged import Judged, JudgedJoint
 from pam_antagonist.diagnosis.models import Model, in_threads
 from pam_antagonist.diagnosis.preparation import DRIVEN, Group, Prepared
+from pam_antagonist.diagnosis.residual_statistics import of_innovations, statistics
 from pam_antagonist.diagnosis.result import MODELS, HeldOutComparison, RecordingEntry
 from pam_antagonist.estimation import EstimateRun, Estimator, metrics
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.angle_driven import sweeps
 from pam_antagonist.inference.experiment import Experiment
+from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import ANGLE, CHANNELS, PRESSURE_1, PRESSURE_2, TORQUE
 from pam_antagonist.model.effects import DISTURBANCE
 from pam_antagonist.recording import Recording
@@ -30,7 +34,36 @@ from pam_antagonist.rig import Rig
 Floats = NDArray[np.float64]
 
 
-def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float]) -> tuple[HeldOutComparison, ...]:
+Ended = tuple[Group, Model, Model]
+"""A group with its end held out, and its models without and with effects."""
+
+
+def ended(joint: JudgedJoint) -> list[Ended]:
+    """The parts of a joint; models that were fitted to all data are fitted again, to what is not held out."""
+    return [_ended(one) for one in joint.parts]
+
+
+def _ended(judged: Judged) -> Ended:
+    group = judged.group
+    if not any(experiment.splits for experiment in judged.model.experiments):
+        return group, judged.base, judged.model
+
+    def again(model: Model) -> Model:
+        prepared = replace(model, experiments=group.experiments)
+        return prepared.map(lambda experiment, fitted: refit(experiment, fitted.point, fitted.free))
+
+    return group, again(judged.base), again(judged.model)
+
+
+def compared(joint: JudgedJoint, parts: Sequence[Ended]) -> tuple[HeldOutComparison, ...]:
+    """Every recording of a joint with the three models. `parts`: of :func:`ended`."""
+    values = [one.values for one in joint.parts]
+    return tuple(c for part, of in zip(parts, values, strict=True) for c in compare(joint.prepared, *part, of))
+
+
+def compare(
+    prepared: Prepared, group: Group, base: Model, model: Model, effects: Mapping[str, float]
+) -> tuple[HeldOutComparison, ...]:
     """Every recording of a group with the three models; recordings that were held out as a whole come last.
 
     A recording that was held out as a whole has the common parameters of the fitted ones. Only its start is fitted to
@@ -38,50 +71,46 @@ def compare(group: Group, base: Model, model: Model, effects: Mapping[str, float
 
     `effects`: values of its effects that suit all recordings, by dotted path.
     """
-    out = [
-        HeldOutComparison(
-            experiment.free_run,
-            dict(zip(MODELS, (experiment.origin, old.point, new.point), strict=True)),
-            "fitted" if group.held_out else "both",
-            number,
-        )
-        for experiment, number, old, new in zip(model.experiments, group.numbers, base.fits, model.fits, strict=True)
-    ]
+    one = partial(HeldOutComparison, prepared)
+    role = "fitted" if group.held_out else "both"
+    out = []
+    for experiment, number, old, new in zip(model.experiments, group.numbers, base.fits, model.fits, strict=True):
+        points = (experiment.origin, old.point, new.point)
+        out.append(one(experiment.free_run, dict(zip(MODELS, points, strict=True)), role, number))
     if group.held_out:
-        old, new = (common_point(m, values) for m, values in ((base, {}), (model, effects)))
+        before, after = (common_point(m, values) for m, values in ((base, {}), (model, effects)))
         for number, other in enumerate(group.held_out, len(group.experiments)):
-            points = (other.origin, other.started(old), other.started(new))
-            out.append(HeldOutComparison(other.free_run, dict(zip(MODELS, points, strict=True)), "held out", number))
+            points = (other.origin, other.started(before), other.started(after))
+            out.append(one(other.free_run, dict(zip(MODELS, points, strict=True)), "held out", number))
     return tuple(out)
 
 
-def rig_of(prepared: Prepared, parts: Sequence[HeldOutComparison], model: str) -> Rig:
+def rig_of(parts: Sequence[HeldOutComparison], model: str) -> Rig:
     """One recording's own rig. `model`: one of ``MODELS``."""
+    own = [part.of(model) for part in parts]
     if model == "as_configured":
-        return prepared.rig
-    rig = prepared.base
-    for part in parts:
+        return own[0].prepared.rig
+    rig = own[0].prepared.base
+    for part in own:
         rig = own_rig(part.experiment, part.points[model], rig)
     return rig
 
 
 def by_recording(
-    prepared: Prepared, compared: Sequence[HeldOutComparison], tuned: Mapping[str, Rig], filters: Sequence[str],
-    jobs: int,
-) -> tuple[RecordingEntry, ...]:  # fmt: skip
+    compared: Sequence[HeldOutComparison], tuned: Mapping[str, Rig], estimator: bool, jobs: int
+) -> tuple[RecordingEntry, ...]:
     """Errors and residuals of the three models on what was held out of each recording, model alone and estimator.
 
-    `tuned`: rigs whose tuning the estimator uses, by model; default: the configured tuning. `filters`: models that the
-    estimator runs with, the last one in place of others; none: it does not run.
+    `tuned`: rigs whose tuning the estimator uses, by model; default: the configured tuning.
     """
 
     def one(number: int) -> RecordingEntry:
         parts = [part for part in compared if part.number == number]
-        rigs = {name: with_tuning(rig_of(prepared, parts, name), tuned.get(name)) for name in MODELS}
+        rigs = {name: with_tuning(rig_of(parts, name), tuned.get(name)) for name in MODELS}
         first = parts[0]
         experiment, trial = first.experiment, first.experiment.trial
         entry = RecordingEntry(
-            prepared.trials[number].name,
+            first.prepared.trials[number].name,
             trial.joint,
             trial.lock_angle if trial.joint == "locked" else None,
             first.role,
@@ -91,17 +120,18 @@ def by_recording(
         if not first.judges:
             return entry
         residuals = {
-            model: [row for one in parts for row in residual_statistics.statistics(one.experiment, one.points[model])]
-            for model in ("recalibrated", "extended")
+            model: [
+                row for part in parts for row in statistics(part.of(model).experiment, part.of(model).points[model])
+            ]
+            for model in MODELS[1:]
         }
         ukf = None
-        if filters:
-            recording = prepared.recordings[number]
-            runs = {model: estimator_errors(*corrected(recording, first, model), rigs[model]) for model in filters}
-            ukf = ModelErrors(*(runs.get(model, runs[filters[-1]])[0] for model in MODELS))
-            for model in residuals.keys() & runs.keys():
-                innovations = residual_statistics.of_innovations(experiment, first.points[model], *runs[model][1:])
-                residuals[model].extend(innovations)
+        if estimator:
+            runs = {model: estimator_errors(*corrected(first, model), rigs[model]) for model in MODELS}
+            ukf = ModelErrors(*(runs[model][0] for model in MODELS))
+            for model, rows in residuals.items():
+                own = first.of(model)
+                rows.extend(of_innovations(own.experiment, own.points[model], *runs[model][1:]))
         counted = None
         if experiment.slides is not None:
             spans = {"fitted": (0, experiment.fitted), "held_out": (experiment.fitted, len(trial))}
@@ -114,7 +144,7 @@ def by_recording(
             sweeps=counted,
         )
 
-    return tuple(in_threads(one, ((number,) for number in range(len(prepared.recordings))), jobs))
+    return tuple(in_threads(one, ((number,) for number in sorted({part.number for part in compared})), jobs))
 
 
 def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
@@ -122,8 +152,8 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
 
     `model`: one of ``MODELS``.
     """
-    experiment = part.experiment
-    held = experiment.held_samples
+    part = part.of(model)
+    experiment, held = part.experiment, part.experiment.held_samples
     measured, shown = experiment.trial.measured[held], experiment.shown(part.points[model], rig)[held]
     found = errors_of(measured, shown, experiment.judged_channels)
     if experiment.slides is None or found.torque is None:
@@ -133,6 +163,19 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
         metrics.rmse(error[rows]) if np.isfinite(error[rows]).any() else None for rows in (slides, ~slides)
     )
     return replace(found, sliding=Sliding(sliding, sticking, float(np.mean(slides))))
+
+
+def errors_alone(joint: JudgedJoint) -> list[Errors]:
+    """Errors of the recalibrated and of the extended model alone on what was held out, over all recordings."""
+    by_number: dict[int, list[HeldOutComparison]] = {}
+    for part in compared(joint, ended(joint)):
+        if part.judges:
+            by_number.setdefault(part.number, []).append(part)
+    counts = [int(parts[0].experiment.held_samples.sum()) for parts in by_number.values()]
+    return [
+        total_of([model_errors(parts[0], model, rig_of(parts, model)) for parts in by_number.values()], counts)
+        for model in MODELS[1:]
+    ]
 
 
 def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[RecordingEntry]) -> ModelErrors:
@@ -156,11 +199,11 @@ def _estimated(recording: Recording, rig: Rig, experiment: Experiment) -> tuple[
     return run, held[np.minimum(sample, len(held) - 1)]
 
 
-def corrected(recording: Recording, part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
+def corrected(part: HeldOutComparison, model: str) -> tuple[Recording, Experiment]:
     """A recording corrected by the calibrations of a model: as read, and on its even grid."""
-    point = part.points[model]
-    corrections = calibrations.corrections(calibration.values_of(point.effects))
-    return corrections.applied(recording), part.experiment.corrected(point)[0]
+    own = part.of(model)
+    corrections = calibrations.corrections(calibration.values_of(own.points[model].effects))
+    return corrections.applied(own.recording), own.experiment.corrected(own.points[model])[0]
 
 
 def estimator_errors(recording: Recording, experiment: Experiment, rig: Rig) -> tuple[Errors, Floats, Floats]:
@@ -210,10 +253,10 @@ def deciding_evidence(
     """
     if any(e.trial.has(c) for e in (*group.experiments, *group.held_out) for c in (ANGLE, TORQUE)):
         return None
-    return innovation_evidence(prepared, compare(group, base, model, effects), model.jobs)
+    return innovation_evidence(compare(prepared, group, base, model, effects), model.jobs)
 
 
-def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison], jobs: int) -> float:
+def innovation_evidence(compared: Sequence[HeldOutComparison], jobs: int) -> float:
     """Twice the log likelihood ratio of the innovations of held-out samples, extended over recalibrated model.
 
     Both filters have the tuning of the rig as configured. No parameter has a price: nothing was fitted there.
@@ -221,7 +264,7 @@ def innovation_evidence(prepared: Prepared, compared: Sequence[HeldOutComparison
 
     def likelihood(part: HeldOutComparison, model: str) -> float:
         rig = own_rig(part.experiment, part.points[model])
-        recording, experiment = corrected(prepared.recordings[part.number], part, model)
+        recording, experiment = corrected(part, model)
         run, held = _estimated(recording, rig, experiment)
         rows = run.rows[held]
         s = rows["innovation_covariance"]

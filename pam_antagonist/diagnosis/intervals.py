@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 
 from pam_antagonist.diagnosis import held_out
 from pam_antagonist.diagnosis.models import in_threads
-from pam_antagonist.diagnosis.preparation import START, Prepared, Settings
+from pam_antagonist.diagnosis.preparation import START, Settings
 from pam_antagonist.diagnosis.result import HeldOutComparison
 from pam_antagonist.identification.filter_stage import Given, Unseen, wider, with_unknown_force, with_unknown_torque
 from pam_antagonist.identification.parts import is_free
@@ -27,9 +27,8 @@ _COVERED_S = 30.0
 
 
 def tuned(
-    prepared: Prepared, common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], names: Sequence[str],
-    settings: Settings,
-) -> dict[str, Rig]:  # fmt: skip
+    common: Mapping[str, Rig], compared: Sequence[HeldOutComparison], names: Sequence[str], settings: Settings
+) -> dict[str, Rig]:
     """Rigs whose tuning and uncertainty the estimator uses, by model; each is fitted to what may be fitted.
 
     In an angle-driven joint most of the innovations come from slow deviations of the muscles, which no fit knows.
@@ -39,42 +38,44 @@ def tuned(
     if not names:
         return {}
     settings.progress("tuning the estimators")
-    if prepared.angle_driven:
-        rigs = _sealed(prepared, common, names, settings)
+    if compared[0].prepared.angle_driven:
+        rigs = _sealed(common, compared[0], names, settings)
     else:
-        rigs = {name: _covered(prepared, common[name], compared, name, settings) for name in names}
+        rigs = {name: _covered(common[name], compared, name, settings) for name in names}
     return {**dict.fromkeys(("recalibrated", "extended"), rigs[names[-1]]), **rigs}
 
 
-def _sealed(prepared: Prepared, common: Mapping[str, Rig], names: Sequence[str], settings: Settings) -> dict[str, Rig]:
+def _sealed(
+    common: Mapping[str, Rig], compared: HeldOutComparison, names: Sequence[str], settings: Settings
+) -> dict[str, Rig]:
     """The rigs of a sealed joint, tuned side by side."""
-    named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
     tried, most = itertools.count(1), EVALUATIONS * len(names)
 
     def report(text: str) -> None:
         settings.progress(f"tuning the estimators, {min(next(tried), most)} of at most {most}")
 
-    tasks = [(common[name], named, 1.0 - settings.holdout, report) for name in names]
-    best = in_threads(tuned_sealed, tasks, settings.jobs)
-    return {name: rig for name, (rig, _, _) in zip(names, best, strict=True)}
+    def tuning(name: str) -> Rig:
+        prepared = compared.of(name).prepared
+        named = [(recording, trial.name) for recording, trial in zip(prepared.recordings, prepared.trials, strict=True)]
+        return tuned_sealed(common[name], named, 1.0 - settings.holdout, report)[0]
+
+    return dict(zip(names, in_threads(tuning, ((name,) for name in names), settings.jobs), strict=True))
 
 
-def _covered(
-    prepared: Prepared, rig: Rig, compared: Sequence[HeldOutComparison], model: str, settings: Settings
-) -> Rig:
+def _covered(rig: Rig, compared: Sequence[HeldOutComparison], model: str, settings: Settings) -> Rig:
     """A rig whose intervals hold 95 % of what was measured in the fitted parts."""
     parts: list[Given] = []
     for part in compared:
-        if part.number < prepared.fitted:
+        if part.number < part.prepared.fitted:
             until = min((part.experiment.fitted - 0.5) * part.experiment.trial.dt, _COVERED_S)
-            parts.append(_given(prepared, part, model, 0.0, until))
+            parts.append(_given(part, model, 0.0, until))
     free = [given for given in parts if is_free(given)]
     if not free:
         return rig
     moved_by_fit = {
         path
         for part in compared
-        for direction in part.experiment.directions
+        for direction in part.of(model).experiment.directions
         for path in (*direction.paths, *direction.adds)
     }
     kept = {path: std for path, std in rig.uncertainty.items() if path not in moved_by_fit}
@@ -84,11 +85,9 @@ def _covered(
     return with_unknown_force(covered, parts, jobs, report)
 
 
-def of_files(
-    prepared: Prepared, rigs: Mapping[str, Rig], compared: Sequence[HeldOutComparison], settings: Settings
-) -> dict[str, Rig]:
+def of_files(rigs: Mapping[str, Rig], compared: Sequence[HeldOutComparison], settings: Settings) -> dict[str, Rig]:
     """Rigs of :func:`tuned` with the intervals that the files get, by model."""
-    if prepared.angle_driven or not rigs:
+    if not rigs or compared[0].prepared.angle_driven:
         return dict(rigs)
 
     def found(model: str) -> Rig:
@@ -96,7 +95,7 @@ def of_files(
         for part in (part for part in compared if part.judges):
             for span in part.experiment.held_parts:
                 begin = max(span.begin_s - START, 0.0)
-                unseen.append(Unseen(_given(prepared, part, model, begin, span.end_s), span.begin_s - begin))
+                unseen.append(Unseen(_given(part, model, begin, span.end_s), span.begin_s - begin))
         return wider(rigs[model], unseen, settings.jobs, settings.progress)
 
     extended = found("extended")
@@ -104,8 +103,8 @@ def of_files(
     return {"recalibrated": extended if same else found("recalibrated"), "extended": extended}
 
 
-def _given(prepared: Prepared, part: HeldOutComparison, model: str, begin_s: float, end_s: float) -> Given:
+def _given(part: HeldOutComparison, model: str, begin_s: float, end_s: float) -> Given:
     """A part of a recording, corrected by the calibrations of a model, with the joint's condition."""
-    recording, _ = held_out.corrected(prepared.recordings[part.number], part, model)
+    recording, _ = held_out.corrected(part, model)
     trial = part.experiment.trial
     return recording.slice(begin_s, end_s), JointCondition(trial.joint, trial.lock_angle, ""), trial.name

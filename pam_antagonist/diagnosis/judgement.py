@@ -30,6 +30,7 @@ from pam_antagonist.diagnosis import (
     warnings,
 )
 from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate, Work
+from pam_antagonist.diagnosis.judged import Judged
 from pam_antagonist.diagnosis.models import (
     Model,
     explains,
@@ -40,7 +41,6 @@ from pam_antagonist.diagnosis.models import (
     share_of_all,
 )
 from pam_antagonist.diagnosis.preparation import Group, Prepared
-from pam_antagonist.diagnosis.result import Judged
 from pam_antagonist.diagnosis.search import CatalogueEffect, Score, score_all, search
 from pam_antagonist.diagnosis.verdicts import EFFECT, NONE, UNEXPLAINED, Verdict
 from pam_antagonist.inference.experiment import Experiment

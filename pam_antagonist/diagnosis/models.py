@@ -7,6 +7,7 @@ is negative where the excess has grown.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
@@ -100,6 +101,12 @@ class Model:
             gain = len(fitted.residual) / fitted.scale.counted * np.sum(np.log(np.maximum(times**2, 1.0)))
             total += max(float(gain) - price(fitted, thresholds.LEAST_PARAMETERS), 0.0)
         return total >= thresholds.STRONG
+
+
+def all_of(models: Iterable[Model]) -> Model:
+    """Several models of different recordings as one."""
+    columns = zip(*((model.experiments, model.fits, model.effects) for model in models), strict=True)
+    return Model(*(tuple(itertools.chain(*each)) for each in columns))
 
 
 def _times_tolerated(experiment: Experiment, fitted: Fitted) -> Floats:

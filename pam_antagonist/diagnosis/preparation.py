@@ -60,6 +60,7 @@ class Settings:
     holdout: float = 1.0 / 3.0  # share at the end of each recording that no fit sees
     in_turn: bool = False  # whether every third stretch is held out, and not the end
     catalogue: bool = True  # whether effects of the catalogue are asked; where not, calibrations alone
+    laws: bool = False  # whether laws are learned of what the catalogue does not explain
     jobs: int = 2  # threads
     seed: int = 0  # draws the starts of fits
     progress: Callable[[str], None] = silent  # is called with what is being done

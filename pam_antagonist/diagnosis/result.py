@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pam_antagonist.diagnosis.errors import ModelErrors, RigErrors
-from pam_antagonist.diagnosis.hypotheses import Ranking, TriedCandidate
+from pam_antagonist.diagnosis.hypotheses import TriedCandidate
 from pam_antagonist.diagnosis.models import Model, contradict
-from pam_antagonist.diagnosis.preparation import Group
+from pam_antagonist.diagnosis.preparation import Prepared
 from pam_antagonist.diagnosis.remaining import RemainingResidual
 from pam_antagonist.diagnosis.residual_statistics import ResidualRow
 from pam_antagonist.diagnosis.splits import Firmness
 from pam_antagonist.diagnosis.verdicts import Verdict
 from pam_antagonist.inference.experiment import Experiment
 from pam_antagonist.inference.point import Point
+from pam_antagonist.recording import Recording
 from pam_antagonist.rig import Rig
 from pam_antagonist.rig.learned import Law
 from pam_antagonist.shown import Shown
@@ -168,37 +169,28 @@ class PartVerdict:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Judged(Shown):
-    """A group of experiments with the verdict on it. Its models say how the experiments were compared at last."""
-
-    group: Group
-    base: Model
-    ranking: Ranking
-    verdict: Verdict
-    share: float | None  # of its held-out excess that the chosen model removes; None likewise
-    model: Model
-    effects: tuple[FoundEffect, ...] = ()  # that were found, with the experiments' names as recordings
-    values: Mapping[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    # what the splits say of each effect, by its name; empty where there were no splits.
-    firmness: Mapping[str, Firmness] = field(default_factory=dict)
-    calibrations: tuple[FoundCalibration, ...] = ()
-    left: tuple[RemainingResidual, ...] = ()  # stretches above noise, where nothing more than these is unexplained
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class HeldOutComparison(Shown):
     """A recording, or a part of it, with the three models; what was held out of it judges them."""
 
+    prepared: Prepared
     experiment: Experiment  # the recording; its ``held_samples`` were held out
     points: Mapping[str, Point]  # of the three models on it, by name (``MODELS``)
     role: str  # ``fitted`` to its end, ``held out`` as a whole, or ``both``: its end was held out
     number: int  # of the recording, in the order in which they were given
     before: HeldOutComparison | None = None  # the same without laws that were learned; None: there are none
 
+    def of(self, model: str) -> HeldOutComparison:
+        """That which a model belongs to: all but the extended one are without learned laws."""
+        return self if self.before is None or model == MODELS[-1] else self.before
+
+    @property
+    def recording(self) -> Recording:
+        """All of the recording, as it was read."""
+        return self.prepared.recordings[self.number]
+
     def residual(self, model: str) -> Floats:
-        """What a model leaves of the whole recording (B, C). `model`: one of ``MODELS``, extended with laws."""
-        own = self if self.before is None or model == MODELS[-1] else self.before
+        """What a model leaves of the whole recording (B, C). `model`: one of ``MODELS``."""
+        own = self.of(model)
         return own.experiment.residual(own.points[model], whole=True)
 
     @property

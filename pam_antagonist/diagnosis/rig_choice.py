@@ -15,8 +15,8 @@ import numpy as np
 from pam_antagonist.diagnosis import held_out
 from pam_antagonist.diagnosis.agreement import common_point
 from pam_antagonist.diagnosis.errors import Errors, RigErrors, total_of
-from pam_antagonist.diagnosis.models import Model
-from pam_antagonist.diagnosis.preparation import Group, Prepared
+from pam_antagonist.diagnosis.held_out import Ended
+from pam_antagonist.diagnosis.judged import JudgedJoint
 from pam_antagonist.diagnosis.result import MODELS, Diagnosis, FoundEffect, HeldOutComparison, RecordingEntry
 from pam_antagonist.diagnosis.thresholds import ESTIMATOR_WORSE, MARGIN
 from pam_antagonist.diagnosis.verdicts import UNEXPLAINED
@@ -82,17 +82,15 @@ class RigChoice:
 
 
 def rig_errors(
-    prepared: Prepared,
-    models: Mapping[str, Sequence[tuple[Group, Model, Mapping[str, float]]]],
+    ended: Mapping[str, tuple[JudgedJoint, Sequence[Ended]]],
     rigs: Mapping[str, Rig],
     compared: Sequence[HeldOutComparison],
     entries: Sequence[RecordingEntry],
-    filters: Sequence[str],
+    estimator: bool,
 ) -> dict[str, RigErrors]:
     """Errors on held-out data with one rig for all recordings: as configured, recalibrated and extended.
 
-    `models`: by name: each group of recordings, its model, and values of its effects for one rig, by dotted path.
-    `filters`: models that the estimator runs with.
+    `ended`: by name the joint that a rig is of, and its parts of :func:`held_out.ended`.
     """
     totals = held_out.total_errors(compared, entries)
     samples = {part.number: int(part.experiment.held_samples.sum()) for part in compared if part.judges}
@@ -103,39 +101,39 @@ def rig_errors(
         return RigErrors.total(getattr(totals, name), each)
 
     def common(name: str) -> RigErrors:
-        parts = _parts_of_one_rig(models[name])
-
         def errors(part: HeldOutComparison) -> tuple[Errors, Errors | None]:
-            alone, recording = held_out.model_errors(part, "extended", rigs[name]), prepared.recordings[part.number]
-            if name not in filters:
-                return alone, None
-            given = held_out.corrected(recording, part, "extended")
-            return alone, held_out.estimator_errors(*given, rigs[name])[0]
+            alone = held_out.model_errors(part, name, rigs[name])
+            return alone, held_out.estimator_errors(*held_out.corrected(part, name), rigs[name])[
+                0
+            ] if estimator else None
 
+        parts = _parts_of_one_rig(*ended[name], name)
         found = [errors(part) for part in parts]
         counts = [int(part.experiment.held_samples.sum()) for part in parts]
         runs = [(ukf, count) for (_, ukf), count in zip(found, counts, strict=True)]
         return RigErrors.total(total_of([alone for alone, _ in found], counts), runs)
 
     # One recording's own values are those of the rig for all.
-    return {name: own(name) if prepared.fitted == 1 or name not in models else common(name) for name in MODELS}
+    alone = compared[0].prepared.fitted == 1
+    return {name: own(name) if alone or name not in ended else common(name) for name in MODELS}
 
 
-def _parts_of_one_rig(groups: Sequence[tuple[Group, Model, Mapping[str, float]]]) -> list[HeldOutComparison]:
-    """The recordings that are judged, in their order, with the values for all of them."""
+def _parts_of_one_rig(joint: JudgedJoint, ended: Sequence[Ended], name: str) -> list[HeldOutComparison]:
+    """The recordings that are judged, in their order, with a model's values for all of them."""
     parts: dict[int, HeldOutComparison] = {}
-    for group, model, effects in groups:
-        common = common_point(model, effects)
+    for (group, base, model), judged in zip(ended, joint.parts, strict=True):
+        which, effects = (model, judged.values) if name == MODELS[-1] else (base, {})
+        common = common_point(which, effects)
         runs = []
-        for (experiment, fitted), number in zip(model.pairs, group.numbers, strict=True):
+        for (experiment, fitted), number in zip(which.pairs, group.numbers, strict=True):
             # Zeros, scales and late stamps belong to a recording, not to the rig.
             own = {path: value for path, value in fitted.point.effects.items() if calibration.is_calibration(path)}
             runs.append((experiment, number, Point(common.theta, {**common.effects, **own})))
         if group.held_out:
             runs = [(other, number, common) for number, other in enumerate(group.held_out, len(group.experiments))]
         for experiment, number, point in runs:
-            points = {"extended": experiment.started(point)}
-            parts.setdefault(number, HeldOutComparison(experiment.free_run, points, "both", number))
+            points = {name: experiment.started(point)}
+            parts.setdefault(number, HeldOutComparison(joint.prepared, experiment.free_run, points, "both", number))
     return [parts[number] for number in sorted(parts)]
 
 

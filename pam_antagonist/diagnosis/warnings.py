@@ -190,14 +190,18 @@ def estimator_worse(entries: Sequence[RecordingEntry]) -> list[str]:
     return warnings
 
 
+def slides(prepared: Prepared) -> tuple[int, int]:
+    """How often a joint that is driven by its angle slides in the fitted and in the held-out part."""
+    cuts = {number: e.fitted for g in prepared.groups for number, e in zip(g.numbers, g.experiments, strict=True)}
+    trials = [(prepared.trials[number], cut) for number, cut in cuts.items()]
+    return sum(sweeps(one, 0, cut) for one, cut in trials), sum(sweeps(one, cut, len(one)) for one, cut in trials)
+
+
 def few_sweeps(prepared: Prepared) -> list[str]:
     """A warning where a joint that is driven by its angle slides too seldom: all samples of a sweep share one error."""
     if not prepared.angle_driven:
         return []
-    cuts = {number: e.fitted for g in prepared.groups for number, e in zip(g.numbers, g.experiments, strict=True)}
-    trials = [(prepared.trials[number], cut) for number, cut in cuts.items()]
-    counts = [sum(sweeps(trial, 0, cut) for trial, cut in trials)]
-    counts += [sum(sweeps(trial, cut, len(trial)) for trial, cut in trials)]
+    counts = slides(prepared)
     if min(counts) >= thresholds.FEW_SWEEPS:
         return []
     fitted, held = ("once" if count == 1 else f"{count} times" for count in counts)

@@ -15,8 +15,8 @@ from pam_antagonist.diagnosis.calibrations import CalibrationHypothesis
 from pam_antagonist.diagnosis.errors import RigErrors, errors_of
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.models import Model, recalibrated
-from pam_antagonist.diagnosis.pipeline import change_in_words
 from pam_antagonist.diagnosis.search import hypotheses, search
+from pam_antagonist.diagnosis.sentences import change_in_words
 from pam_antagonist.estimation.divergence import DIVERGED
 from pam_antagonist.inference import calibration
 from pam_antagonist.inference.point import Point

@@ -15,9 +15,9 @@ from pam_antagonist.api.history import entry
 from pam_antagonist.diagnosis import Diagnosis, diagnose, findings, held_out, warnings
 from pam_antagonist.diagnosis.errors import Errors, ModelErrors, Noise, RigErrors
 from pam_antagonist.diagnosis.hypotheses import ResumeFolder
-from pam_antagonist.diagnosis.pipeline import course_in_words
 from pam_antagonist.diagnosis.result import FoundCalibration
 from pam_antagonist.diagnosis.rig_choice import RigFile
+from pam_antagonist.diagnosis.sentences import course_in_words
 from pam_antagonist.errors import BadInput
 from pam_antagonist.estimation.metrics import ChannelErrors
 from pam_antagonist.model.effects import CATALOGUE
@@ -394,7 +394,7 @@ def test_pressures_alone_say_so(rig, recorded, kept) -> None:
 
 def test_innovations_that_do_not_agree_have_the_last_word(rig, recorded, kept, monkeypatch) -> None:
     """The pressures of a model that is run alone may call for an effect that tells an estimator nothing."""
-    monkeypatch.setattr(held_out, "innovation_evidence", lambda prepared, compared, jobs: 5.0)
+    monkeypatch.setattr(held_out, "innovation_evidence", lambda compared, jobs: 5.0)
     bare = dataclasses.replace(
         recorded("valve_offset", 2, "shift and gain", 15.0, seconds=24.0), angle=None, torque=None
     )

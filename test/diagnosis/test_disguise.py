@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pam_antagonist import diagnose
-from pam_antagonist.diagnosis.learned_law import IN_TURN
+from pam_antagonist.diagnosis.pipeline import IN_TURN
 from validation.battery.carry import Joint, cases
 
 

@@ -140,8 +140,8 @@ def test_the_innovations_of_held_out_samples_count_and_no_others(rig, pair) -> N
 
     def evidence(**cut) -> float:
         points = dict(zip(MODELS, (experiment.origin, experiment.origin, leaking), strict=True))
-        part = HeldOutComparison(dataclasses.replace(experiment, **cut), points, "both", 0)
-        return innovation_evidence(prepared, [part], 1)
+        part = HeldOutComparison(prepared, dataclasses.replace(experiment, **cut), points, "both", 0)
+        return innovation_evidence([part], 1)
 
     count = len(experiment.trial) // experiment.trial.block
     turns = [evidence(fitted=len(experiment.trial), split=split) for split in in_turn(count, 2, 250.0, 0, 0)]

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 from pam_antagonist import diagnose, load_rig, simulate
-from pam_antagonist.api import diagnose as api
-from pam_antagonist.diagnosis import Diagnosis, law_evidence, law_search, learned_law, pipeline
+from pam_antagonist.diagnosis import law_evidence, law_findings, law_search, learned_law, pipeline, sentences
+from pam_antagonist.diagnosis.description import describe
+from pam_antagonist.diagnosis.judged import JudgedJoint
 from pam_antagonist.diagnosis.law_forms import LawForm
 from pam_antagonist.diagnosis.law_search import LawSearch, search
-from pam_antagonist.diagnosis.learned_law import is_better, joined, leaves_excess
+from pam_antagonist.diagnosis.learned_law import is_better, leaves_excess
 from pam_antagonist.diagnosis.models import Model, recalibrated
-from pam_antagonist.diagnosis.result import FoundEffect
+from pam_antagonist.diagnosis.preparation import Settings, Timings
+from pam_antagonist.diagnosis.result import Diagnosis, FoundEffect
 from pam_antagonist.errors import BadInput
 from pam_antagonist.inference.gauss_newton import refit
 from pam_antagonist.inference.trial import make_trial
@@ -60,28 +62,37 @@ def learned_from(recording: Recording, own: Rig) -> LawSearch:
 
 @dataclasses.dataclass
 class Course:
-    """What a diagnosis went through: its result, all diagnoses on the way, and the laws that were learned."""
+    """What a diagnosis went through: its result, the verdicts on the way, and the laws that were learned."""
 
     result: DiagnoseResult
-    diagnoses: list[Diagnosis]
+    verdicts: list[JudgedJoint]
     learned: list[LawSearch]
 
-    def like(self, name: str) -> Diagnosis:
-        """The first diagnosis, as if it had named an effect that leaves all of the excess."""
-        effect = FoundEffect(name, None, {}, 20.0, 0.1, ("free",))
-        return dataclasses.replace(self.diagnoses[0], verdict="effect", effects=(effect,))
+    def like(self, *names: str) -> JudgedJoint:
+        """The first verdict, as if it had named effects that leave all of the excess, the weaker ones first."""
+        (part,) = self.verdicts[0].parts
+        seen = (part.group.experiments[0].trial.name,)
+        effects = (FoundEffect(name, None, {}, 20.0 + k, 0.1, seen) for k, name in enumerate(names))
+        return dataclasses.replace(
+            self.verdicts[0], parts=(dataclasses.replace(part, verdict="effect", effects=tuple(effects)),)
+        )
+
+    def described(self, before: JudgedJoint) -> Diagnosis:
+        """The result, had that been the verdict before the law."""
+        with_law = dataclasses.replace(self.verdicts[1], base=before.base, before=before, learned=self.learned[0])
+        return describe(with_law, Settings(profiles=False, estimator=False), Timings())
 
 
 @pytest.fixture(scope="module")
 def exchange() -> Course:
     """What ``diagnose`` makes of two chambers that exchange air."""
-    seen: dict[str, list[Any]] = {"_diagnose": [], "search": []}
+    seen: dict[str, list[Any]] = {"_verdict": [], "search": []}
     with pytest.MonkeyPatch.context() as patch:
-        for module, name in ((api, "_diagnose"), (learned_law, "search")):
+        for module, name in ((pipeline, "_verdict"), (learned_law, "search")):
             patch.setattr(module, name, _noting(getattr(module, name), seen[name]))
         found = diagnose(recorded(EXCHANGE), rig(), profiles=False, estimator=False)
     assert isinstance(found, DiagnoseResult)
-    return Course(found, seen["_diagnose"], seen["search"])
+    return Course(found, seen["_verdict"], seen["search"])
 
 
 def _noting(function: Any, results: list[Any]) -> Any:
@@ -104,7 +115,7 @@ def test_place_and_argument_of_a_law_that_is_in_no_catalogue_are_found(exchange:
 
 @pytest.mark.thorough(1)
 def test_errors_are_those_before_the_law_and_those_with_it(exchange: Course) -> None:
-    before, after = exchange.diagnoses
+    before, after = (describe(one, Settings(estimator=False), Timings()) for one in exchange.verdicts)
     assert exchange.result.errors.as_configured == before.errors.as_configured
     assert exchange.result.errors.recalibrated == before.errors.recalibrated
     assert exchange.result.errors.extended == after.errors.extended
@@ -137,26 +148,27 @@ def test_a_report_has_place_argument_and_table_of_a_law(exchange: Course) -> Non
 @pytest.mark.thorough(1)
 def test_an_effect_that_leaves_a_clear_excess_does_not_end_the_search(exchange: Course) -> None:
     assert leaves_excess(exchange.like("thermal"))
-    assert not leaves_excess(exchange.diagnoses[1])
-    events = dataclasses.replace(exchange.like("leak").effects[0], onset_s=10.0)
-    assert not leaves_excess(dataclasses.replace(exchange.like("leak"), effects=(events,)))
+    assert not leaves_excess(exchange.verdicts[1])
+    (part,) = exchange.like("leak").parts
+    begins = dataclasses.replace(part, effects=(dataclasses.replace(part.effects[0], onset_s=10.0),))
+    assert not leaves_excess(dataclasses.replace(exchange.verdicts[0], parts=(begins,)))
 
 
 @pytest.mark.thorough(1)
 def test_a_torque_that_comes_and_goes_alone_may_be_a_law(exchange: Course) -> None:
     pushed = exchange.like("external_torque")
     assert leaves_excess(pushed)
-    assert not leaves_excess(dataclasses.replace(pushed, effects=(*pushed.effects, *exchange.like("leak").effects)))
-    assert is_better(pushed, exchange.diagnoses[1].extended, [EXCHANGE])
-    assert not is_better(pushed, pushed.recalibrated, [EXCHANGE])
+    assert not leaves_excess(exchange.like("external_torque", "leak"))
+    assert is_better(pushed, exchange.verdicts[1].model, [EXCHANGE])
+    assert not is_better(pushed, pushed.base, [EXCHANGE])
 
 
 def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, model = exchange.diagnoses[0], exchange.diagnoses[1].extended
-    assert law_evidence.largest_share_of_a_channel(before.recalibrated, model) > 0.8
-    assert law_evidence.largest_share_of_a_channel(before.recalibrated, before.recalibrated) == 0.0
+    before, model = exchange.verdicts[0], exchange.verdicts[1].model
+    assert law_evidence.largest_share_of_a_channel(before.base, model) > 0.8
+    assert law_evidence.largest_share_of_a_channel(before.base, before.base) == 0.0
     assert is_better(before, model, [EXCHANGE])
     monkeypatch.setattr(law_evidence, "largest_share_of_a_channel", lambda *_models: 0.05)
     assert not is_better(before, model, [EXCHANGE])
@@ -164,7 +176,7 @@ def test_a_law_that_takes_less_than_a_tenth_of_a_channels_error_is_not_added(
 
 @pytest.mark.thorough(1)
 def test_a_law_by_time_has_to_be_the_explanation(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
-    before, model = exchange.diagnoses[0], exchange.diagnoses[1].extended
+    before, model = exchange.verdicts[0], exchange.verdicts[1].model
     by_time = dataclasses.replace(EXCHANGE, argument="time")
     assert is_better(before, model, [by_time])
     monkeypatch.setattr(law_evidence, "share_of_all", lambda *_models: 0.36)
@@ -174,7 +186,7 @@ def test_a_law_by_time_has_to_be_the_explanation(exchange: Course, monkeypatch: 
 def test_a_law_is_said_by_its_place_and_argument() -> None:
     effect = FoundEffect("learned", None, {}, 20.0, 0.6, law=EXCHANGE)
     said = "the flow from muscle 1 to muscle 2 depends on P1 - P2, seen from -300 kPa to 300 kPa (a learned law)"
-    assert pipeline.in_words(effect) == said
+    assert sentences.in_words(effect) == said
 
 
 def test_a_law_of_a_rate_is_none_at_rest() -> None:
@@ -185,7 +197,7 @@ def test_a_law_of_a_rate_is_none_at_rest() -> None:
 @pytest.mark.thorough(1)
 @pytest.mark.parametrize(("name", "names"), [("leak", ["leak", "learned"]), ("thermal", ["learned"])])
 def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name: str, names: Sequence[str]) -> None:
-    found = joined(exchange.like(name), exchange.diagnoses[1], exchange.learned[0])
+    found = exchange.described(exchange.like(name))
     assert [effect.name for effect in found.effects] == names
     assert found.effects[-1].delta_bic > 40.0
     assert not any(item.taken and item.effect == "thermal" for item in found.ranking)
@@ -195,11 +207,8 @@ def test_an_effect_that_acts_where_the_law_does_names_it(exchange: Course, name:
 
 @pytest.mark.thorough(1)
 def test_a_law_has_the_name_of_one_effect(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learned_law, "like", lambda *_args: ("valve_offset", "leak"))
-    (first,) = exchange.like("leak").effects
-    weaker = dataclasses.replace(first, name="valve_offset", delta_bic=first.delta_bic - 5.0)
-    before = dataclasses.replace(exchange.like("leak"), effects=(weaker, first))
-    found = joined(before, exchange.diagnoses[1], exchange.learned[0])
+    monkeypatch.setattr(law_findings, "like", lambda *_args: ("valve_offset", "leak"))
+    found = exchange.described(exchange.like("valve_offset", "leak"))
     assert [effect.name for effect in found.effects] == ["leak", "learned"]
     assert ": leak, in another form" in found.sentence
 
@@ -209,22 +218,22 @@ def test_a_law_that_does_not_hold_on_held_out_data_is_not_added(
     exchange: Course, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(learned_law, "search", lambda *_args: exchange.learned[0])
-    first = exchange.diagnoses[0]
-    found = learned_law.with_laws(lambda *_a, **_b: first, [recorded()], [], rig(), print, first)
-    assert (found.verdict, found.effects) == ("unexplained", ())
-    assert "does not hold on data that no fit used" in found.sentence
+    first = exchange.verdicts[0]
+    found = learned_law.with_laws(lambda *_args: first, [recorded()], [], rig(), print, first)
+    assert (found.verdict, found.effects, found.laws) == ("unexplained", (), ())
+    assert "does not hold on data that no fit used" in describe(found, Settings(estimator=False), Timings()).sentence
 
 
 @pytest.mark.thorough(1)
 def test_a_law_that_cannot_be_tried_is_said(exchange: Course, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = exchange.diagnoses[0]
+    first = exchange.verdicts[0]
 
-    def diagnosis(*_args: Any, **_options: Any) -> Diagnosis:
+    def verdict(*_args: Any) -> JudgedJoint:
         raise BadInput("too short with it")
 
     monkeypatch.setattr(learned_law, "search", lambda *_: exchange.learned[0])
-    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), print, first)
-    assert "A law was learned" in found.sentence and "cannot be tried: too short with it." in found.sentence
+    found = learned_law.with_laws(verdict, [recorded()], [], rig(), print, first)
+    assert "A law was learned" in found.why and "cannot be tried: too short with it." in found.why
     assert found.verdict == first.verdict == "unexplained"
 
 
@@ -235,12 +244,12 @@ def test_beside_a_law_an_effect_is_measured_by_what_was_there_before_it(
     monkeypatch.setattr(learned_law, "search", lambda *_args: exchange.learned[0])
     before: list[Any] = []
 
-    def diagnosis(*_args: Any, first: Any = None, **_options: Any) -> Diagnosis:
+    def verdict(_fitted: Any, _kept: Any, _rig: Any, first: Any) -> JudgedJoint:
         before.append(first)
-        return exchange.diagnoses[1]
+        return exchange.verdicts[1]
 
-    learned_law.with_laws(diagnosis, [recorded()], [], rig(), print, exchange.diagnoses[0])
-    assert before == [exchange.diagnoses[0].recalibrated]
+    learned_law.with_laws(verdict, [recorded()], [], rig(), print, exchange.verdicts[0])
+    assert before == [exchange.verdicts[0].base]
 
 
 @pytest.mark.thorough(2)
@@ -253,13 +262,13 @@ def test_where_two_laws_do_not_hold_the_better_one_is_tried(exchange: Course, mo
     monkeypatch.setattr(learned_law, "search", lambda *_args: learned)
     asked: list[Rig] = []
 
-    def diagnosis(_recordings: Any, own: Rig, **_options: Any) -> Diagnosis:
+    def verdict(_fitted: Any, _kept: Any, own: Rig, _first: Any) -> JudgedJoint:
         asked.append(own)
-        return exchange.diagnoses[1]
+        return exchange.verdicts[1]
 
-    found = learned_law.with_laws(diagnosis, [recorded()], [], rig(), print, exchange.diagnoses[0])
+    found = learned_law.with_laws(verdict, [recorded()], [], rig(), print, exchange.verdicts[0])
     assert [laws_of(own)[1].place for own in asked] == ["exchange"] and all(len(laws_of(own)) == 1 for own in asked)
-    assert [effect.law for effect in found.effects] == list(best.laws)
+    assert found.laws == best.laws
 
 
 @pytest.mark.thorough(1)
@@ -272,17 +281,17 @@ def test_a_second_law_is_looked_for_beside_the_first(exchange: Course, monkeypat
 
     monkeypatch.setattr(learned_law, "search", looked_for)
     monkeypatch.setattr(learned_law, "leaves_excess", lambda _found: True)
-    first, after = exchange.diagnoses
+    first, after = exchange.verdicts
 
-    def found() -> Diagnosis:
-        return learned_law.with_laws(lambda *_a, **_b: after, [recorded()], [], rig(), print, first)
+    def found() -> JudgedJoint:
+        return learned_law.with_laws(lambda *_args: after, [recorded()], [], rig(), print, first)
 
     # What leaves no more than an imperfect table does is not followed by another one.
-    assert [effect.name for effect in found().effects] == ["learned"] and asked == [first.recalibrated]
+    assert [law.place for law in found().laws] == ["exchange"] and asked == [first.base]
     monkeypatch.setattr(learned_law, "share_of_all", lambda *_models: 0.5)
     asked.clear()
-    assert [effect.name for effect in found().effects] == ["learned"]
-    assert asked == [first.recalibrated, after.recalibrated]
+    assert [law.place for law in found().laws] == ["exchange"]
+    assert asked == [first.base, after.base]
 
 
 @pytest.mark.thorough(5)

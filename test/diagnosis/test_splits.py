@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pam_antagonist.diagnosis import change_point, pipeline
+from pam_antagonist.diagnosis import change_point, description
 from pam_antagonist.diagnosis.hypotheses import Ranking, Work
 from pam_antagonist.diagnosis.judgement import Case
 from pam_antagonist.diagnosis.models import recalibrated
@@ -174,7 +174,7 @@ def shaken(long) -> Case:
 def test_what_is_unexplained_has_channel_time_and_size(shaken: Case) -> None:
     assert not shaken.ranking.base.has_significant_excess and shaken.without_effects == "unexplained"
     judged = shaken.judged("unexplained", 0.0)
-    (left,) = pipeline.left(replace(judged, left=shaken.left))
+    (left,) = description.left(replace(judged, left=shaken.left))
     assert left.channel == "pressure 1" and left.times_noise > 2.0
     assert 23.5 <= left.begin_s <= 24.1 and 25.9 <= left.end_s <= 26.5
     assert left.bands["1 to 3 Hz"] + left.bands["3 to 10 Hz"] > 0.6
@@ -184,9 +184,9 @@ def test_what_is_unexplained_has_channel_time_and_size(shaken: Case) -> None:
 
 def test_a_verdict_that_explains_nothing_never_leaves_nothing(shaken: Case) -> None:
     """Where effects fall away afterwards, the largest residual is named, though it is at the noise."""
-    (left, *more) = pipeline.left(shaken.judged("unexplained", 0.0))
+    (left, *more) = description.left(shaken.judged("unexplained", 0.0))
     assert left.times_noise > 0.9 and left.end_s > left.begin_s and not more
-    assert pipeline.left(shaken.judged("none", 0.0)) == []
+    assert description.left(shaken.judged("none", 0.0)) == []
 
 
 def test_how_a_joint_bounces_at_its_stop_decides_nothing(recorded, experiment_of) -> None:
