@@ -360,7 +360,9 @@ def _searched(model: Model, progress: Callable[[str], None]) -> LawSearch:
     two = part.takes_two(own[part], best)
     if two.gain < thresholds.STRONG:
         return found
-    near = _as_good([*fitted, *(one for one, _ in standing)], best, kept_near)
+    # Those that were fitted to the recordings are compared by all evidence, the others to first order.
+    near = _as_good(list(fitted), best, kept_near, lambda one: one.evidence)
+    near += _as_good([one for one, _ in standing], best, kept_near)
     others = {(one.law.at, one.law.argument): one.law for one in reversed(near)}
     others.pop((best.law.at, best.law.argument), None)
     alternatives = tuple(list(others.values())[::-1][:_MOST_ALTERNATIVES])

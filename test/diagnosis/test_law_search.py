@@ -14,7 +14,7 @@ from pam_antagonist.diagnosis import law_evidence, law_findings, law_search, lea
 from pam_antagonist.diagnosis.description import describe
 from pam_antagonist.diagnosis.judged import JudgedJoint
 from pam_antagonist.diagnosis.law_forms import LawForm
-from pam_antagonist.diagnosis.law_search import LawSearch, search
+from pam_antagonist.diagnosis.law_search import FittedLaws, LawSearch, search
 from pam_antagonist.diagnosis.learned_law import is_better, leaves_excess
 from pam_antagonist.diagnosis.models import Model, recalibrated
 from pam_antagonist.diagnosis.preparation import Settings, Timings
@@ -359,6 +359,42 @@ def test_an_error_of_readings_is_what_the_model_shows_wrongly() -> None:
     shown, misread = right.simulated(point), wrong.simulated(point)
     assert misread[:, 0] - shown[:, 0] == pytest.approx(np.interp(shown[:, 0], (-0.1, 0.1), (0.01, 0.03)))
     assert np.array_equal(misread[:, 1:], shown[:, 1:])
+
+
+def test_what_is_as_likely_by_all_evidence_is_said_beside_the_best_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To first order one leads clearly; fitted to the recordings, what was held out makes the other as likely."""
+    places = {
+        "passage_1": ("open_rate", 60.0, 15.0),
+        "command_1": ("voltage", 40.0, 34.0),
+        "flow_1": ("none", 50.0, 0.0),
+    }
+    laws = [
+        FittedLaws(
+            (LawForm(at, argument),), (Law(at.split("_")[0], (0.0, 1.0), (0.0, 1.0), 1, argument),), (0.0,), gain
+        )
+        for at, (argument, gain, _) in places.items()
+    ]
+
+    class Part:
+        """A part in which these are found."""
+
+        has_significant_excess = True
+
+        def every_law(self) -> list[FittedLaws]:
+            return sorted(laws, key=lambda one: -one.gain)
+
+        def refined(self, one: FittedLaws) -> FittedLaws:
+            return dataclasses.replace(one, held_out=places[one.group.place][2])
+
+        def takes_two(self, _found: Any, best: FittedLaws) -> FittedLaws:
+            return best
+
+    monkeypatch.setattr(law_search, "parts", lambda _model: [Part()])
+    monkeypatch.setattr(law_search, "_ModelPart", lambda part: part)
+    model = recalibrated_on(recorded(duration=12.0), rig())
+    found = search(model, lambda text: None)
+    assert [law.place for law in found.laws] == ["passage"]
+    assert [law.place for law in found.alternatives] == ["command"]
 
 
 def test_no_law_is_added_where_nothing_is_wrong() -> None:
