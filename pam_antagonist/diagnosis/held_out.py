@@ -165,19 +165,6 @@ def model_errors(part: HeldOutComparison, model: str, rig: Rig) -> Errors:
     return replace(found, sliding=Sliding(sliding, sticking, float(np.mean(slides))))
 
 
-def errors_alone(joint: JudgedJoint) -> list[Errors]:
-    """Errors of the recalibrated and of the extended model alone on what was held out, over all recordings."""
-    by_number: dict[int, list[HeldOutComparison]] = {}
-    for part in compared(joint, ended(joint)):
-        if part.judges:
-            by_number.setdefault(part.number, []).append(part)
-    counts = [int(parts[0].experiment.held_samples.sum()) for parts in by_number.values()]
-    return [
-        total_of([model_errors(parts[0], model, rig_of(parts, model)) for parts in by_number.values()], counts)
-        for model in MODELS[1:]
-    ]
-
-
 def total_errors(compared: Sequence[HeldOutComparison], entries: Sequence[RecordingEntry]) -> ModelErrors:
     """Errors over all recordings of which something was held out. `entries`: of :func:`by_recording`."""
     held = [(part.number, part.experiment) for part in compared if part.judges]
