@@ -85,7 +85,8 @@ def _verdict(
     `first`: the model without a law that was learned since; the law then counts as the first effect, and any beside it
     has to remove enough of what was there before the law.
     """
-    timings.end("laws")
+    if timings.seconds:  # between two verdicts, laws were looked for
+        timings.end("laws")
     prepared = prepare(recordings, held_out, rig, settings)
     if settings.in_turn:
         groups = (replace(one, experiments=tuple(map(parted, one.experiments))) for one in prepared.groups)

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -58,8 +59,10 @@ def test_the_local_profile_is_the_other_one_on_the_loopback_interface() -> None:
 
 def receiving(pid: int) -> set[str]:
     """Local addresses of the UDP sockets with the ports of DDS that a process has."""
-    inodes = {os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()}
-    found = set()
+    inodes, found = set(), set()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # a file that was closed since it was listed
+            inodes.add(os.readlink(link))
     for line in Path("/proc/net/udp").read_text().splitlines()[1:]:
         fields = line.split()
         address, port = fields[1].split(":")
