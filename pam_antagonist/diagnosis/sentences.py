@@ -130,7 +130,8 @@ def of_laws(found: Diagnosis, laws: LawFindings, beside: Sequence[str], firmness
     if second:
         text = f"Two effects are missing. One sits in {first.where} and depends on {first.on}, "
         text += f"the other in {second[0].where} and depends on {second[0].on}{kind}. Their laws were measured as "
-        text += f"tables, the first one{first.range_in_words}, the other{second[0].range_in_words}. "
+        ranges = [law.range_in_words.removeprefix(",") for law in (first, *second)]
+        text += f"tables, the first{ranges[0]}, the other{ranges[1]}. "
     else:
         text = f"The missing effect sits in {first.where} and depends on {first.on}{kind}. "
         text += f"Its law was measured as a table{first.range_in_words}. "
