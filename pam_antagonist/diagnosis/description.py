@@ -20,7 +20,6 @@ from pam_antagonist.inference.angle_driven import AIR, AngleDriven
 from pam_antagonist.rig import Rig
 
 _T = TypeVar("_T")
-_IN_PART = "the recordings in part only"
 
 
 def describe(joint: JudgedJoint, settings: Settings, timings: Timings) -> Diagnosis:
@@ -28,11 +27,12 @@ def describe(joint: JudgedJoint, settings: Settings, timings: Timings) -> Diagno
     prepared, judged, first, progress = joint.prepared, joint.parts, joint.steps[0], settings.progress
     ended = {"recalibrated": (first, held_out.ended(first))}
     ended["extended"] = ended["recalibrated"] if first is joint else (joint, held_out.ended(joint))
-    each = {name: held_out.compared(*pair) for name, pair in ended.items()}
-    compared = each["extended"] if first is joint else _beside(each["recalibrated"], each["extended"])
-    steps = [(step, _rivals(step)) for step in joint.steps]
-    found_in = [_effects(*step) for step in steps]
-    rivals, beside, laws = steps[-1][1], found_in[-1], LawFindings.of(joint, found_in)
+    compared = held_out.comparisons(*ended["extended"])
+    if first is not joint:
+        compared = _beside(held_out.comparisons(*ended["recalibrated"]), compared)
+    *_, rivals = rivals_of = [_rivals(step) for step in joint.steps]
+    *_, beside = found_in = [_effects(*each) for each in zip(joint.steps, rivals_of, strict=True)]
+    laws = LawFindings.of(joint, found_in)
     effects = (*laws.named, *laws.effects, *beside)
     ambiguous = ambiguity.not_told_apart(judged, rivals)
     calibrated = tuple(
@@ -84,11 +84,7 @@ def describe(joint: JudgedJoint, settings: Settings, timings: Timings) -> Diagno
         unseen=warnings.unseen(prepared, throughout),
         warnings=(
             *joint.notes,
-            *(
-                [f"{'both laws explain' if len(laws.effects) > 1 else 'the law explains'} {_IN_PART}"]
-                if laws.in_part
-                else ()
-            ),
+            *laws.warnings,
             *prepared.notes,
             *warnings.guessed_curves(joint.model.experiments[0].rig, [item.name for item in beside]),
             *(warning for j in judged for warning in j.warnings),

@@ -55,7 +55,7 @@ def _ended(judged: Judged) -> Ended:
     return group, again(judged.base), again(judged.model)
 
 
-def compared(joint: JudgedJoint, parts: Sequence[Ended]) -> tuple[HeldOutComparison, ...]:
+def comparisons(joint: JudgedJoint, parts: Sequence[Ended]) -> tuple[HeldOutComparison, ...]:
     """Every recording of a joint with the three models. `parts`: of :func:`ended`."""
     values = [one.values for one in joint.parts]
     return tuple(c for part, of in zip(parts, values, strict=True) for c in compare(joint.prepared, *part, of))

@@ -27,7 +27,7 @@ class LawFindings:
     wrong: tuple[str, ...]  # names of effects that explained most without laws, where none of them names one
     parts: tuple[PartVerdict, ...]  # on all parts of the joint
     share: float | None  # the smallest share of a held-out excess that laws explain in a part; None without laws
-    in_part: bool  # whether the laws leave more than imperfect tables do
+    warnings: tuple[str, ...]  # where the laws leave more than imperfect tables do
     ranking: tuple[TriedCandidate, ...]  # of all steps; taken is what the report has
 
     @classmethod
@@ -49,6 +49,7 @@ class LawFindings:
         earlier = {one.name: one for step in found[:-1] for one in step if one.name not in beside}
         # One law has one name: a second effect there only imitates what its form leaves.
         named = {one.name: one for effect in effects for one in _namers(effect, earlier.values())[:1]}
+        who = "both laws explain" if len(laws) > 1 else "the law explains"
         return cls(
             tuple(effects),
             tuple(named.values()),
@@ -58,7 +59,7 @@ class LawFindings:
                 for part in (one.as_part for one in joint.parts)
             ),
             min(shares.values(), default=None),
-            in_part,
+            (f"{who} the recordings in part only",) if in_part else (),
             tuple(
                 item if step is joint else replace(item, taken=item.taken and item.effect in named)
                 for step in joint.steps for item in step.ranking

@@ -142,7 +142,7 @@ def _was_learned(learned: LawSearch) -> str:
 
 def _friction_fails(now: JudgedJoint) -> bool:
     """Whether a joint that sticks is predicted worse with what explains the balance of its torques than without."""
-    parts = held_out.compared(now, held_out.ended(now))
+    parts = held_out.comparisons(now, held_out.ended(now))
     errors = held_out.total_errors(parts, held_out.by_recording(parts, {}, False, now.base.jobs))
     before, after = errors.recalibrated.angle, errors.extended.angle
     return before is not None and after is not None and after.rmse > before.rmse

@@ -103,9 +103,9 @@ def rig_errors(
     def common(name: str) -> RigErrors:
         def errors(part: HeldOutComparison) -> tuple[Errors, Errors | None]:
             alone = held_out.model_errors(part, name, rigs[name])
-            return alone, held_out.estimator_errors(*held_out.corrected(part, name), rigs[name])[
-                0
-            ] if estimator else None
+            if not estimator:
+                return alone, None
+            return alone, held_out.estimator_errors(*held_out.corrected(part, name), rigs[name])[0]
 
         parts = _parts_of_one_rig(*ended[name], name)
         found = [errors(part) for part in parts]
